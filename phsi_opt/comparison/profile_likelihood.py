@@ -415,14 +415,10 @@ def bootstrap(
         of=f"bootstrap {hashlib.sha256(text.encode()).hexdigest()}",
         progress=progress,
     )
-    results = {int(done.key.removeprefix("draw ")): done.result for done in swept}
-    failed: dict[int, str] = {}
-    rows: dict[int, Mapping[str, float]] = {}
-    for number, result in sorted(results.items()):
-        if "failed" in result:
-            failed[number] = result["failed"]
-        else:
-            rows[number] = result["estimates"]
+    found = {int(done.key.removeprefix("draw ")): done.result for done in swept}
+    results = sorted(found.items())
+    failed = {number: one["failed"] for number, one in results if "failed" in one}
+    rows = {number: one["estimates"] for number, one in results if "failed" not in one}
     if len(rows) < 2:
         reason = next(iter(failed.values()), "")
         raise SolveError(

@@ -10,6 +10,8 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.laws import parameter_words
+from phsi_opt.model.model import Model
 from phsi_opt.screening.effect_size import Size
 
 MOST_FAMILIES = 2  # of effects, that the name of a class joins
@@ -17,6 +19,12 @@ MOST_FAMILIES = 2  # of effects, that the name of a class joins
 LOSS = "a loss of energy whose law the data do not determine"
 LOSS_SOMEWHERE = "a loss of energy whose equation and law the data do not determine"
 AT_LIMIT = "the data do not determine it: {} ends at a limit of its range"
+
+
+def at_limit(model: Model, names: Sequence[str], at_bounds: Sequence[str]) -> str:
+    """Why an effect is rejected of whose parameters one is at a bound; "": none is."""
+    found = [name for name in names if name in at_bounds]
+    return AT_LIMIT.format(parameter_words(model, found[0])) if found else ""
 
 
 class Verdict(StrEnum):

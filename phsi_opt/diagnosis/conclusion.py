@@ -5,7 +5,7 @@ the same. *Which law*: the effects that the evidence does not tell from it are a
 *How much*: a re-fit's free runs, and whether a force remains evident beside it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,11 +27,11 @@ from phsi_opt.criteria import (
 )
 from phsi_opt.data.noise import unresolved_channels
 from phsi_opt.diagnosis.candidate import (
-    AT_LIMIT,
     Candidate,
     Finding,
     Grade,
     Verdict,
+    at_limit,
     class_of,
 )
 from phsi_opt.diagnosis.data_causes import data_cause
@@ -40,7 +40,6 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import DiagnosedModel, refit, thorough_refit
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect, is_wave
-from phsi_opt.model.laws import parameter_words
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
@@ -98,14 +97,12 @@ class _Judge:
         """The base with an effect that is decisive; this is put first."""
         # Of those that the evidence does not tell from the likeliest the one with
         # fewest unknowns, and that the catalogue has first.
-
-        def size(one: Candidate) -> tuple[int, int]:
-            return one.effect.n_unknowns, self.effects.index(one.effect)
-
         while tied := self.tied():
-            place = self.ranking.index(min(tied, key=size))
+            tied.sort(key=lambda one: self.effects.index(one.effect))
+            simplest = min(tied, key=lambda one: one.effect.n_unknowns)
+            place = self.ranking.index(simplest)
             # Judged is what a study would add.
-            larger = self.refit(place, thorough_refit)
+            larger = self.refit(place, thorough=True)
             if larger is not None:
                 self.ranking.insert(0, self.ranking.pop(place))
                 return larger
@@ -122,11 +119,7 @@ class _Judge:
         together = np.logaddexp.reduce([one.log_evidence for one in tied])
         return tied if together >= DECISIVE_EVIDENCE else []
 
-    def refit(
-        self,
-        place: int,
-        finished: Callable[[DiagnosedModel], DiagnosedModel] = lambda brief: brief,
-    ) -> DiagnosedModel | None:
+    def refit(self, place: int, thorough: bool) -> DiagnosedModel | None:
         """The base with a candidate; None where that rejects it."""
         one = self.ranking[place]
         if not one.size.z >= SURE_DEVIATIONS:
@@ -139,12 +132,12 @@ class _Judge:
         if larger is None:
             self.note(place, lost="could not be re-fitted")
             return None
-        larger = finished(larger)
+        if thorough:
+            larger = thorough_refit(larger)
         new = new_names(self.base.fit.model, one.effect, larger.fit.names)
-        at_bound = [name for name in new if name in larger.fit.outcome.at_bounds]
-        if at_bound:
-            words = parameter_words(larger.fit.model, at_bound[0])
-            self.note(place, lost=AT_LIMIT.format(words))
+        lost = at_limit(larger.fit.model, new, larger.fit.outcome.at_bounds)
+        if lost:
+            self.note(place, lost=lost)
             return None
         found = fitted_size(self.base.fit.model, larger.fit, one.effect)
         self.note(
@@ -244,11 +237,10 @@ class _Judge:
         """A law of no catalogue that is far likelier; empty where there is none."""
         model = self.base.fit.model
         name = first.effect.equation
-        if first.effect.slot == "sensor":
-            return ""
         equation = model.index(name)
         alone = self.record.base
-        if equation not in [force.place for force in alone.disturbances.forces]:
+        places = [force.place for force in alone.disturbances.forces]
+        if first.effect.slot == "sensor" or equation not in places:
             return ""
         function = self.record.with_functions(equation)
         if function is None:
@@ -276,13 +268,7 @@ class _Judge:
             others = [one for one in others if one.effect != other.effect]
             self.ranking = [first, other, *others]
         effects = tuple(finding.effects[0] for finding in findings)
-        tied = {name for found in findings for name in map(str, found.effects[1:])}
-        for place, one in enumerate(self.ranking):
-            if one.name in tied and not one.lost:
-                self.note(
-                    place, lost="the data cannot distinguish it from the named effect"
-                )
-        self.reject_others(effects)
+        self.reject_others(effects, [one for each in findings for one in each.effects])
         verdict = Verdict.NAMED
         said = " and ".join(map(str, findings))
         one = self.ranking[0]
@@ -296,21 +282,17 @@ class _Judge:
                 f"missing (mean square) and {100 * share:.0f} % of the squared error "
                 "above the noise floor; more is missing"
             )
-        return _diagnosis(
-            self.base, self.ranking, verdict, reason, larger, findings, effects
-        )
+        return self.diagnosis(verdict, reason, larger, findings, effects)
 
     def finding(self, larger: DiagnosedModel) -> Finding:
         """The first with those that the data do not tell from it, and its size."""
         # The likeliest of these are re-fitted; one that a re-fit presses to a bound or
         # to nothing is none of them.
         names = {one.name for one in self.tied()}
-        places = []
-        for place, one in enumerate(self.ranking):
-            if place > 0 and one.name in names:
-                places.append(place)
+        others = enumerate(self.ranking[1:], 1)
+        places = [place for place, one in others if one.name in names]
         for place in places[: MOST_REFITTED - 1]:
-            self.refit(place)
+            self.refit(place, thorough=False)
         members = [self.ranking[place] for place in (0, *places)]
         effects = tuple(one.effect for one in members if not one.lost)
         size = fitted_size(self.base.fit.model, larger.fit, effects[0])
@@ -338,16 +320,14 @@ class _Judge:
         """Nothing is missing, or nothing known explains it."""
         base = self.base
         self.reject_others(())
-        errors = base.error_words
         log_evidence = self.record.base.log_evidence
         is_far = any(map(is_surely_failing, base.comparisons))
         if base.is_noise or not (is_far or self.is_force_evident(log_evidence, base)):
             none = "there is no evidence of anything missing, and no effect is decisive"
-            return _diagnosis(
-                self.base, self.ranking, Verdict.NOTHING_MISSING, f"{errors}; {none}"
-            )
+            reason = f"{base.error_words}; {none}"
+            return self.diagnosis(Verdict.NOTHING_MISSING, reason)
         reason = (
-            f"{errors}: there is evidence that something is missing, but no "
+            f"{base.error_words}: there is evidence that something is missing, but no "
             "effect of the catalogue explains it"
         )
         steps = self.steps_in_words()
@@ -358,8 +338,10 @@ class _Judge:
             reason += f"; the nearest is {nearest.name}, but {nearest.lost}"
         return self.diagnosis(Verdict.UNEXPLAINED, reason)
 
-    def reject_others(self, named: Sequence[Effect]) -> None:
-        """Why the other candidates are not named."""
+    def reject_others(
+        self, named: Sequence[Effect], alike: Sequence[Effect] = ()
+    ) -> None:
+        """Why the other candidates are not named; some are alike for the data."""
         first = self.ranking[0] if named else None
         for place, one in enumerate(self.ranking):
             if one.lost or one.effect in named:
@@ -371,6 +353,8 @@ class _Judge:
                 lost = f"the data cannot distinguish it from {first.name}"
             if first is not None and one.log_evidence < first.log_evidence:
                 lost = f"{first.name} is more likely"
+            if one.effect in alike:
+                lost = "the data cannot distinguish it from the named effect"
             self.note(place, lost=lost)
 
     def diagnosis(self, *parts: Any) -> Diagnosis:

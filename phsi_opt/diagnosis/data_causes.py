@@ -13,7 +13,6 @@ from functools import partial
 import numpy as np
 
 from phsi_opt.comparison.compare import (
-    compare_record,
     explained_share,
     is_small_as_noise,
 )
@@ -91,8 +90,8 @@ def without_spoilt(data: Measurements) -> Measurements:
     spoilt = np.column_stack(list(map(look.spoilt, look.state_looks)))
     runs = []
     for number, run in enumerate(data.trajectories):
-        x = np.where(spoilt[look.run == number], np.nan, run.x)
-        runs.append(replace(run, x=x))
+        is_spoilt = spoilt[look.run == number]
+        runs.append(replace(run, x=np.where(is_spoilt, np.nan, run.x)))
     return replace(data, trajectories=tuple(runs))
 
 
@@ -141,9 +140,4 @@ def _fitted_again(base: DiagnosedModel, change: Change) -> DiagnosedModel:
         steps=tuple(base.fit.steps[k] for k in numbers if base.fit.steps),
     )
     fit = identify(base.fit.model, training, base.loss, start=start)
-    trained = compare_record(Record(fit, training, base.record.estimate))
-    judged = trained
-    if base.is_held_out:
-        record = base.judged.record
-        judged = compare_record(Record(fit, changed(record), record.estimate))
-    return replace(base, trained=trained, judged=judged)
+    return base.on(lambda record: Record(fit, changed(record), record.estimate))

@@ -157,9 +157,7 @@ def candidate_of(
 def _check_effects(effects: list[Effect], model: Model) -> None:
     """Refuse an effect that no fit could find."""
     for effect in effects:
-        larger = model.add(effect)
-        new = [name for name in larger.free if name not in model.entries]
-        if not new:
+        if set(model.add(effect).free) <= model.entries.keys():
             raise ModelError(
                 f"effect {str(effect)!r} has no free parameter, so its size cannot be "
                 "estimated; write a number in it as ph.Parameter(), such as "

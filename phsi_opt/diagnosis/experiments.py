@@ -382,7 +382,6 @@ class _FittedModel:
             [experiment.u for experiment in experiments] if data.inputs else None,
             states=data.states,
             inputs=data.inputs,
-            names=[experiment.name for experiment in experiments],
             units=data.units,
             hold=data.hold,
         )

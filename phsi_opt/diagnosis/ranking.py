@@ -8,11 +8,10 @@ from functools import partial
 import numpy as np
 
 from phsi_opt.criteria import FAR_BEHIND, FEWEST_WEIGHED, MOST_WEIGHED, STRONG_EVIDENCE
-from phsi_opt.diagnosis.candidate import AT_LIMIT, Candidate
+from phsi_opt.diagnosis.candidate import Candidate, at_limit
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.laws import parameter_words
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
@@ -127,11 +126,7 @@ def _candidate(
     forces = [found.force_share(equation) for found in (weighed, alone)]
     held_out = weighed.log_held_out - alone.log_held_out if base.is_held_out else np.nan
     # At a bound: no record tells it, or a smaller law does as well.
-    at_bound = [name for name in names if name in weighed.at_bounds]
-    lost = ""
-    if at_bound:
-        words = parameter_words(weighed.model, at_bound[0])
-        lost = AT_LIMIT.format(words)
+    lost = at_limit(weighed.model, names, weighed.at_bounds)
     return replace(
         _expected(base, one, lost),
         coefficient=size.value,
@@ -152,12 +147,11 @@ def _in_order(candidates: Sequence[Candidate]) -> list[Candidate]:
     probabilities = (odds[1:] / np.sum(odds)).tolist()
     found = []
     for one, gain, probability in zip(candidates, gains, probabilities, strict=True):
-        alike = []
-        for other, of_other in zip(candidates, gains, strict=True):
-            is_near = abs(of_other - gain) < STRONG_EVIDENCE
-            if other is not one and is_near and gain > 0:
-                alike.append(other.name)
-        alike_names = tuple(alike)
-        found.append(replace(one, probability=probability, confusable_with=alike_names))
+        names = tuple(
+            other.name
+            for other, of_other in zip(candidates, gains, strict=True)
+            if other is not one and abs(of_other - gain) < STRONG_EVIDENCE and gain > 0
+        )
+        found.append(replace(one, probability=probability, confusable_with=names))
     order = np.argsort([-gain for gain in gains], kind="stable")
     return [found[place] for place in order]

@@ -16,7 +16,7 @@ from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis, step_without_name
 from phsi_opt.model.effect import Effect
-from phsi_opt.presentation.content import Answer
+from phsi_opt.presentation.content import TRAINING, Answer
 from phsi_opt.presentation.numbers import capitalised
 from phsi_opt.presentation.summary import (
     Part,
@@ -25,6 +25,7 @@ from phsi_opt.presentation.summary import (
     printed_table,
     text_of_summary,
 )
+from phsi_opt.presentation.units import scale_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,10 +93,10 @@ class Diagnosis(Summarised):
     @property
     def strong(self) -> tuple[Effect, ...]:
         """The most likely effect, if its evidence is strong and none is decisive."""
-        if self.findings or self.data_cause or not self.ranking:
+        if self.findings or self.data_cause:
             return ()
-        first = self.ranking[0]
-        return (first.effect,) if first.grade == Grade.STRONG else ()
+        first = self.ranking[:1]
+        return tuple(one.effect for one in first if one.grade == Grade.STRONG)
 
     @property
     def established(self) -> list[Candidate]:
@@ -122,12 +123,9 @@ class Diagnosis(Summarised):
         rows = []
         for one in self.ranking:
             row = {name: getattr(one, name, "") for name in CANDIDATE_COLUMNS}
-            row["effect"] = one.effect.name
-            row["slot"] = one.effect.slot
-            row["equation"] = one.effect.equation
-            row["grade"] = str(one.grade)
-            row["confusable_with"] = ", ".join(one.confusable_with)
-            rows.append(row)
+            row |= {"effect": one.effect.name, "slot": one.effect.slot}
+            row |= {"equation": one.effect.equation, "grade": str(one.grade)}
+            rows.append(row | {"confusable_with": ", ".join(one.confusable_with)})
         return printed_table(rows, columns=CANDIDATE_COLUMNS)
 
     @cached_property
@@ -223,13 +221,15 @@ class Diagnosis(Summarised):
         Raises:
             DataError: There is no such trajectory.
         """
-        from phsi_opt.presentation.pictures import plot_missing_force
+        from phsi_opt.force_analysis.pictures import force_runs
+        from phsi_opt.presentation.charts import drawn, force_chart
 
-        name = self.record.runs[self.data.trajectory_number(trajectory)]
-        force = self.missing_force
-        along = force[force["trajectory"] == name]
-        lacking = {one.equation: one.quantity for one in self.analysis.forces}
-        return plot_missing_force(along, lacking, self.data.units, ax)
+        number = self.data.trajectory_number(trajectory)
+        time = scale_of(self.data.units.get("t", ""))
+        forces = self.analysis.forces
+        runs = [force_runs(force, TRAINING, time)[number] for force in forces]
+        title = "Significant where the band does not include zero"
+        return drawn(force_chart(runs, time.unit), title, ax, (8.0, 3.6))
 
     def figure(self, equation: str | None = None) -> "Figure":
         """Missing force over time and states, its dependence, and its spectrum.

@@ -43,6 +43,7 @@ from phsi_opt.presentation.numbers import change_words, decimal
 from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import with_no_size
 from phsi_opt.screening.weighing import EvidenceRecord
+from phsi_opt.statistics import rms
 from phsi_opt.sweeps.sweep import Progress, silent
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import AlignedData
@@ -95,12 +96,13 @@ class DiagnosedModel:
             SolveError: the missing force could not be estimated.
         """
 
-        def compared(record: Record) -> Comparison:
-            return compare_record(Record.of_aligned(fit, change(record.aligned)))
+        return self.on(lambda record: Record.of_aligned(fit, change(record.aligned)))
 
-        trained = judged = compared(self.record)
+    def on(self, changed: Callable[[Record], Record]) -> "DiagnosedModel":
+        """The free runs on changed records."""
+        trained = judged = compare_record(changed(self.record))
         if self.is_held_out:
-            judged = compared(self.judged.record)
+            judged = compare_record(changed(self.judged.record))
         return replace(self, trained=trained, judged=judged)
 
     def with_run(self, trained: Comparison) -> "DiagnosedModel":
@@ -248,7 +250,8 @@ def refit(base: DiagnosedModel, candidate: Candidate) -> DiagnosedModel | None:
     """
     base.say(f"re-fitting with {candidate.name}")
     try:
-        return Refitting(base, candidate).result()
+        larger = Refitting(base, candidate)
+        return base.with_run(larger.with_steps_as_fine_as_its_run(larger.begun()))
     except PhsiOptError:
         base.say(f"{candidate.name} is not considered: it could not be re-fitted")
         return None
@@ -294,21 +297,15 @@ class Refitting:
         self.model = model.with_values(known)
         self.aligned = base.record.aligned.for_model(self.model)
 
-    def result(self) -> DiagnosedModel:
-        """The fit with its free runs.
+    def begun(self) -> Fit:
+        """The brief re-fit from where the effect was weighed.
 
         Raises:
             PhsiOptError: the model cannot be fitted.
         """
-        return self.base.with_run(self.with_steps_as_fine_as_its_run(self.begun()))
-
-    def begun(self) -> Fit:
-        """The brief re-fit from where the effect was weighed."""
         base = self.base
         estimate = base.record.estimate
         model = base.fit.model
-        sigma = dict(zip(model.states, base.record.sigma.tolist(), strict=True))
-        measured = self.aligned.data.measured
         states = self.candidate.states
         if states is None:
             states = with_memory(model, estimate.grid, estimate.x, base.record.theta)
@@ -321,7 +318,7 @@ class Refitting:
             base.fit,
             model=model.with_values(known),
             states=estimate.grid.split(states[:, : model.n_states]),
-            noise={name: sigma[name] for name in model.states if name in measured},
+            noise=base.trained.noise,
             steps=tuple(refinement * steps for steps in base.fit.steps),
         )
         new = corner_widths(self.model).keys() - model.entries.keys()
@@ -344,7 +341,7 @@ class Refitting:
         trained = compare_record(record.refitted(fit))
         has_corner = is_scanned(self.candidate.effect) or corner_widths(fit.model)
         may_stray = has_corner or fit.model.memory
-        if not may_stray or _n_intervals(fit.steps) > ONE_ATTEMPT_INTERVALS:
+        if not may_stray or sum(map(np.sum, fit.steps)) > ONE_ATTEMPT_INTERVALS:
             return trained
         if distance_from_states(trained) < STRAYED_STATES:
             return trained
@@ -359,20 +356,11 @@ class Refitting:
         return trained
 
 
-def _n_intervals(steps: Sequence[np.ndarray]) -> int:
-    return sum(int(of_run.sum()) for of_run in steps)
-
-
 def distance_from_states(trained: Comparison) -> float:
     """Root mean square distance of a free run from its fit, in noise deviations."""
     record = trained.record
     fitted = outputs_at_samples(
         record.model, record.grid, record.fit.states, record.theta
     )
-    apart = []
-    for run, x, trajectory in zip(
-        trained.shown, fitted, record.data.trajectories, strict=True
-    ):
-        scaled = (run - x) / trained.sigma
-        apart.append(scaled[np.isfinite(trajectory.x)])
-    return float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
+    apart = np.concatenate(trained.shown) - np.concatenate(fitted)
+    return rms((apart / trained.sigma)[np.isfinite(record.data.stacked("x"))])

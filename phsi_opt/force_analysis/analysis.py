@@ -9,7 +9,7 @@ Here are the facts; the sentences stand in ``words.jinja``. A velocity has no sy
 """
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,6 @@ from phsi_opt.force_analysis.cross_validation import odd_basis
 from phsi_opt.force_analysis.dependence import CAUSES, leading
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
-from phsi_opt.force_analysis.localization import strong_region
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.kinds import turn_of
@@ -160,7 +159,7 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
 
 def sentence(force: EquationForce) -> str:
     """Size and place of a missing force, what it does with energy, what predicts it."""
-    best = leading(force.follows, force.equation)
+    best = leading(force.follows)
     return _said(force, "sentence", window=force.window_words(), best=best).lead
 
 
@@ -225,12 +224,10 @@ def _period_words(force: EquationForce) -> str:
     return time_words(period, record.units.get("t", ""))
 
 
-def place_words(force: EquationForce, names: Sequence[str] | None = None) -> str:
-    """At which values of its variables a force is strong."""
-    names = force.map_variables if names is None else names
-    region = strong_region(force, names, force.told)
+def place_words(force: EquationForce, names: Iterable[str]) -> str:
+    """At which values of variables a force is strong."""
     words = []
-    for name, ranges in region.items():
+    for name, ranges in force.region_among(names).items():
         unit = spaced(force.scale_of(name).unit)
         words.append(f"where {plain_name(force, name)} is {' or '.join(ranges)}{unit}")
     return ", and ".join(words)
@@ -295,7 +292,7 @@ def advice_of_cause(
 def _followed(force: EquationForce) -> list[str]:
     """What predicts a force best, if clearly; else all states that it may follow."""
     model = force.record.model
-    best = leading(force.follows, force.equation)
+    best = leading(force.follows)
     if best is None or best["share"] < CLEAR_PATTERN:
         partners = exchange_partners(model, force.equation)
         return list(dict.fromkeys((*partners, force.equation)))

@@ -34,7 +34,7 @@ from phsi_opt.force_analysis.cross_validation import (
     piecewise_linear_basis,
     product_basis,
 )
-from phsi_opt.force_analysis.force_record import Force, ForceRecord
+from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
 from phsi_opt.model.structure import exchange_partners
 from phsi_opt.presentation.summary import printed_table
@@ -120,23 +120,22 @@ def _functions(
 def variables(force: Force) -> list[str]:
     """Names of what a force may follow, pairs of states as 'q, p'."""
     record = force.record
-    states = [name for name in record.model.states if _varies(record, name)]
+
+    def varying(names: Sequence[str]) -> list[str]:
+        return [name for name in names if np.ptp(record.variable(name)) > 0]
+
+    states = varying(record.model.states)
     known = [_ranks(record.variable(name)) for name in states]
     efforts = []  # that are no monotone function of a state, nor of another effort
-    for name in record.model.efforts:
+    for name in varying(record.model.efforts):
         ranks = _ranks(record.variable(name))
         alike = max((abs(ranks @ other) for other in known), default=0.0)
-        if _varies(record, name) and not alike > MONOTONE_RANK_CORRELATION:
+        if not alike > MONOTONE_RANK_CORRELATION:
             efforts.append(name)
             known.append(ranks)
-    inputs = [name for name in record.model.inputs if _varies(record, name)]
     pairs = sorted(combinations(states, 2), key=lambda ab: force.equation not in ab)
     joined = map(", ".join, pairs[:6])
-    return [*states, *efforts, *inputs, TIME_NAME, *joined]
-
-
-def _varies(record: ForceRecord, name: str) -> bool:
-    return bool(np.ptp(record.variable(name)) > 0)
+    return [*states, *efforts, *varying(record.model.inputs), TIME_NAME, *joined]
 
 
 def _ranks(z: np.ndarray) -> np.ndarray:
@@ -163,14 +162,13 @@ def without_parameters(force: Force, variable: str) -> np.ndarray:
     return force.w - independent @ coefficients[functions.shape[1] :]
 
 
-def leading(follows: "pd.DataFrame", equation: str) -> "pd.Series | None":
-    """The row of `dependence` to name: the best variable of an equation.
+def leading(follows: "pd.DataFrame") -> "pd.Series | None":
+    """The row of `dependence` to name: the best variable.
 
     A single variable is named where a pair of states is hardly better; None where the
     force was compared with no variable.
     """
-    rows = follows[follows["equation"] == equation]
-    rows = rows[~rows["variable"].isin(NO_VARIABLES)]
+    rows = follows[~follows["variable"].isin(NO_VARIABLES)]
     good = rows[rows["share"] > rows["share"].max() - NAMED_CAUSE]
     if good.empty:
         return None
@@ -206,11 +204,9 @@ class Causes:
         """The causes worth naming, strongest first."""
         if sum(self.contributions.values()) < CLEAR_PATTERN:
             return []
-        named = []
-        for cause, share in self.contributions.items():
-            if share > (NAMED_CAUSE if cause in CAUSES else MOST_OF_IT):
-                named.append(cause)
-        return named
+        least = dict.fromkeys(CAUSES, NAMED_CAUSE) | {PARAMETERS: MOST_OF_IT}
+        found = self.contributions.items()
+        return [cause for cause, share in found if share > least[cause]]
 
     @property
     def clear(self) -> str:
@@ -293,11 +289,8 @@ def _shares_beside(
     force: Force, bases: Mapping[str, np.ndarray], known: Collection[str]
 ) -> dict[str, float]:
     """What known causes and one further cause predict together, by that cause."""
-    shares = {}
-    for cause in CAUSES:
-        if cause not in known and (cause in bases or cause == "time"):
-            shares[cause] = _share(force, bases, [*known, cause])
-    return shares
+    causes = [one for one in CAUSES if one not in known and one in (*bases, "time")]
+    return {cause: _share(force, bases, [*known, cause]) for cause in causes}
 
 
 def _strongest(shares: Mapping[str, float], least: float) -> str | None:

@@ -2,6 +2,7 @@
 
 import re
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -29,7 +30,7 @@ from phsi_opt.force_analysis.localization import (
     Pace,
     Region,
     region_words,
-    strong_region,
+    strong_ranges,
     strongest_window,
 )
 from phsi_opt.force_analysis.waves import PositionWave, position_wave
@@ -105,7 +106,16 @@ class EquationForce(Force):
     @cached_property
     def region(self) -> Region:
         """Where among the states."""
-        return strong_region(self, self.record.model.states, self.told)
+        return self.region_among(self.record.model.states)
+
+    def region_among(self, names: Iterable[str]) -> Region:
+        """Ranges of variables in which it is strong; of those where any stands out."""
+        region = {}
+        for name in names:
+            ranges = strong_ranges(self.told(name), self.w)
+            if ranges and name not in self.record.model.memory:
+                region[name] = ranges
+        return region
 
     @cached_property
     def wave(self) -> PositionWave | None:
@@ -132,11 +142,10 @@ class EquationForce(Force):
         """The unit of `mean_power`, "" where it is not known."""
         units = self.record.units
         time = units.get("t", "")
-        effort = units.get(self.equation, "")
+        own = effort = units.get(self.equation, "")
         if self.record.model.has_energy:
             effort = rate_unit(units.get(self.position, ""), time)
-        force = powers_as_written(rate_unit(units.get(self.equation, ""), time))
-        rate = powers_as_written(effort)
+        force, rate = map(powers_as_written, (rate_unit(own, time), effort))
         return coefficient_unit(product(force, rate), ("W",)) if force and rate else ""
 
     @cached_property
@@ -180,7 +189,7 @@ class EquationForce(Force):
         usual = [name for name in self.follows["variable"] if name in states][:2]
         if self.position:
             usual = [self.position, f"dH_d{self.equation}"]
-        best = leading(self.follows, self.equation)
+        best = leading(self.follows)
         if best is None or "," not in best["variable"] or best["share"] < CLEAR_PATTERN:
             return usual
         pair: list[str] = best["variable"].split(", ")

@@ -7,7 +7,7 @@ shakes what is measured, takes a large rate to be seen at all, and hides what be
 motion itself.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,17 +90,6 @@ def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[str]:
 
 # Ranges of the variables, by name, in which a force is strong.
 Region = Mapping[str, Sequence[str]]
-
-
-def strong_region(
-    force: Force, names: Sequence[str], values: Callable[[str], np.ndarray]
-) -> Region:
-    """Ranges of variables in which a force is strong; of those where any stands out."""
-    region = {}
-    for name in names:
-        if name not in force.record.model.memory:
-            region[name] = strong_ranges(values(name), force.w)
-    return {name: ranges for name, ranges in region.items() if ranges}
 
 
 def region_words(region: Region) -> str:

@@ -18,7 +18,7 @@ from phsi_opt.force_analysis.analysis import (
 from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import is_mostly_constant
-from phsi_opt.force_analysis.waves import Spectrum, period_of, spectrum
+from phsi_opt.force_analysis.waves import period_of, spectrum
 from phsi_opt.presentation.content import (
     TRAINING,
     Follows,
@@ -31,8 +31,9 @@ from phsi_opt.presentation.numbers import label
 from phsi_opt.presentation.units import Scale, frequency_unit, scale_of_time
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from phsi_opt.presentation.charts import Chart
 
 MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
 
@@ -142,7 +143,13 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
     """Force over time, over states, against what it follows, and its frequencies."""
     import matplotlib.pyplot as plt
 
-    from phsi_opt.presentation.charts import Chart, draw, follows_chart, force_chart
+    from phsi_opt.presentation.charts import (
+        Chart,
+        draw,
+        follows_chart,
+        force_chart,
+        set_title,
+    )
 
     force = analysis.force_in(equation)
     time = scale_of_time(float(force.record.t.max()), force.record.units.get("t", ""))
@@ -156,33 +163,27 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
         (force_chart([run], time.unit), _sure_title(force)),
         (over_states, f"Mean missing {force.quantity} over the states"),
         (follows_chart(follows_of(force)), dependence_title(force, variable)),
+        _frequencies(force),
     )
     figure, axes = plt.subplots(2, 2, figsize=(12.0, 8.4), layout="constrained")
-    for ax, (chart, title) in zip(axes.flat, panels, strict=False):
+    for ax, (chart, title) in zip(axes.flat, panels, strict=True):
         draw(ax, chart)
-        _draw_title(ax, title)
-    draw_spectrum(axes[1, 1], force)
+        set_title(ax, fill(title, width=62), fontsize=10)
     figure.suptitle(fill(sentence(force), width=120), fontsize=11)
     return figure
 
 
-def _draw_title(ax: "Axes", text: str) -> None:
-    from phsi_opt.presentation.charts import set_title
-
-    set_title(ax, fill(text, width=62), fontsize=10)
-
-
 def _sure_title(force: EquationForce) -> str:
     """During how much of its strongest run a force is sure, in a sentence."""
-    is_inside = force.record.run == force.strongest_run
-    percent = f"{100 * np.mean(force.is_sure[is_inside]):.0f} %"
-    begin = f"{force.window.trajectory}, d{force.equation}/dt"
-    said = f"a {force.quantity} is significantly missing during {percent} of the time"
-    return f"{begin}: {said}"
+    share = np.mean(force.is_sure[force.record.run == force.strongest_run])
+    return (
+        f"{force.window.trajectory}, d{force.equation}/dt: a {force.quantity} is "
+        f"significantly missing during {100 * share:.0f} % of the time"
+    )
 
 
-def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
-    """Amplitude of the force by frequency, and what its uncertainty explains."""
+def _frequencies(force: EquationForce) -> "tuple[Chart, str]":
+    """Amplitude of the force by frequency, what its uncertainty explains, a title."""
     from scipy.ndimage import uniform_filter1d
 
     from phsi_opt.presentation.charts import (
@@ -192,7 +193,6 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
         Chart,
         Curve,
         Panel,
-        draw,
     )
 
     record = force.record
@@ -204,26 +204,21 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
     # A quantile of few draws is rough, the level itself is smooth.
     rough = np.quantile(of_draws, 1 - CHANCE_LEVEL, axis=1)
     level = uniform_filter1d(rough, size=9, mode="nearest") / force.scale.size
+    # Cut off behind the last frequency with more than a fiftieth of the largest.
+    shown = slice(np.flatnonzero(amplitudes >= amplitudes.max() / 50)[-1] + 2)
+    f = frequencies[shown]
     curves = (
-        Curve(f"missing {force.quantity}", frequencies, amplitudes, MODEL),
-        Curve("explained by its uncertainty", frequencies, level, MEASURED, "dash"),
+        Curve(f"missing {force.quantity}", f, amplitudes[shown], MODEL),
+        Curve("explained by its uncertainty", f, level[shown], MEASURED, "dash"),
     )
     unit = frequency_unit(record.units)
     panel = Panel(label("amplitude", force.scale.unit), curves, scale=FROM_ZERO)
-    draw(ax, Chart(f"frequency ({unit})", (panel,)))
-    # Cut off behind the last frequency with more than a fiftieth of the largest.
-    visible = np.flatnonzero(amplitudes > amplitudes.max() / 50)
-    if len(visible) and len(amplitudes) > 1:
-        ax.set_xlim(0, frequencies[min(visible[-1] + 1, len(amplitudes) - 1)])
-    constant = is_mostly_constant(force.w)
-    what = (
-        "mostly constant; its varying part"
-        if constant
-        else f"the missing {force.quantity}"
-    )
+    what = f"the missing {force.quantity}"
+    if is_mostly_constant(force.w):
+        what = "mostly constant; its varying part"
+    above = np.where(amplitudes > level, amplitudes, 0.0)
     seen = "nowhere larger than its uncertainty"
-    is_above = amplitudes > level
-    if is_above.any():
-        above = Spectrum(frequencies[is_above], amplitudes[is_above])
-        seen = f"strongest at {above.peak:.3g} {unit}"
-    _draw_title(ax, f"d{force.equation}/dt: {what} is {seen}")
+    if above.any():
+        seen = f"strongest at {frequencies[np.argmax(above)]:.3g} {unit}"
+    title = f"d{force.equation}/dt: {what} is {seen}"
+    return Chart(f"frequency ({unit})", (panel,)), title

@@ -1,12 +1,12 @@
-"""Pictures of free runs, missing forces, profiles and estimates.
+"""Pictures of free runs, profiles and estimates.
 
 Each function takes arrays or tables, never a result of the package: so every result may
 call it. Each draws on ``ax`` (None: on a new figure), returns the axes, and its title
 says what to see; where the title holds numbers of a result, the result words it.
-Pictures of where a missing force acts stand in `force_analysis`.
+Pictures of a missing force stand in `force_analysis`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import fill
 from typing import Any
@@ -29,11 +29,8 @@ from phsi_opt.presentation.charts import (
     axes_of,
     draw,
     drawn,
-    force_chart,
 )
-from phsi_opt.presentation.content import TRAINING, ForceRun
 from phsi_opt.presentation.numbers import label
-from phsi_opt.presentation.units import scale_of, scale_of_rate
 
 BAND = "run, two standard deviations"
 
@@ -79,25 +76,6 @@ def plot_free_run(
         told = label("residual", unit if is_alone else "noise std.")
         panels.append(Panel(told, residuals, noise=noise, height=0.5))
     return drawn(Chart(label("t", t_unit), tuple(panels)), title, ax, (8.0, 4.8))
-
-
-def plot_missing_force(
-    table: pd.DataFrame,
-    quantities: Mapping[str, str],
-    units: Mapping[str, str],
-    ax: Axes | None = None,
-) -> Axes:
-    """What is missing along one trajectory, by equation, with two deviations."""
-    time = scale_of(units.get("t", ""))
-    forces = []
-    for state, quantity in quantities.items():
-        scale = scale_of_rate(state, units, 0.0)
-        t, w, std = table[["t", state, f"std_{state}"]].to_numpy(dtype=float).T
-        sizes = (w / scale.size, std / scale.size)
-        known = ("", TRAINING, state, quantity, scale.unit)
-        forces.append(ForceRun(*known, time.shown(t), *sizes))
-    title = "Significant where the band does not include zero"
-    return drawn(force_chart(forces, time.unit), title, ax, (8.0, 3.6))
 
 
 def plot_profile(

@@ -4,10 +4,10 @@ Report and page show them on their first screens; a report's paragraph on each s
 them too. Here are the facts; the sentences stand in ``words.jinja``.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from itertools import chain
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,6 @@ import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison, is_failing
 from phsi_opt.criteria import CERTAIN_FORCE, SURE_ERROR
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.record import PROPOSED_EXPERIMENT, Diagnosis
 from phsi_opt.errors import some_of
@@ -27,7 +26,6 @@ from phsi_opt.force_analysis.analysis import (
     place_answer,
 )
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage, parameter_words
@@ -71,10 +69,13 @@ NOT_ESTABLISHED = "with an effect that is not established"
 PRESENT = ("What is wrong", "Where", "When", "What to add")
 UNNAMED = ("What is wrong", "Where", "When", "What to do next")
 # Where no diagnosis was asked for, or none found anything.
-NOT_YET = (("What is wrong", "Not asked yet."), ("What to do", ASK))
+NOT_YET = (
+    Answer("Not asked yet.", question="What is wrong"),
+    Answer(ASK, question="What to do"),
+)
 NOTHING_FOUND = (
-    ("What is wrong", "These data show no missing effect."),
-    ("What to add", "Nothing."),
+    Answer("These data show no missing effect.", question="What is wrong"),
+    Answer("Nothing.", question="What to add"),
 )
 PAST = ("What was wrong", "Where it was", "When", "What was added")
 # What ``words.jinja`` says to somebody who does not read on, and what it answers.
@@ -92,7 +93,7 @@ FAST_DISTURBANCE = "fast disturbance"
 NEAR_FLOOR = 1.1  # times the noise floor: the error of what is fitted to the noise
 
 
-def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> Answer:
+def answer(name: str, diagnosis: Diagnosis, **more: Any) -> Answer:
     """What ``words.jinja`` says under a name of a diagnosis."""
     force = diagnosis.analysis.force_in()
     strength = number(force.where["strength"], 3)
@@ -100,7 +101,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "d": diagnosis,
         "force": force,
         "units": diagnosis.record.data.units,
-        **_judging(is_held_out),
+        **_shared(diagnosis.base.record is not diagnosis.record),
         "ratio": diagnosis.base.rmse / diagnosis.base.noise_floor,
         # Times the noise floor up to which an error is that of the noise.
         "at_noise": 1.05,
@@ -113,8 +114,6 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "vibration": VIBRATION_WORDS,
         "experiment": PROPOSED_EXPERIMENT,
         "fall_with": partial(_fall_with, diagnosis),
-        "is_at_floor": lambda found: not is_failing(found),
-        "off_channels": off_channels,
         "odds_words": odds_words,
         "found": [finding_words(diagnosis, one) for one in diagnosis.findings],
         "likely_cause": likely_cause,
@@ -123,27 +122,33 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
     return say(__package__, name, **facts, **more)
 
 
-def _judging(is_held_out: bool) -> dict[str, str]:
-    """What the data are called that judge, and the error on them."""
+def _shared(is_held_out: bool) -> dict[str, Any]:
+    """What the data are called that judge, and how errors on them are told."""
     judged = "data not used for fitting" if is_held_out else "the training data"
-    return {"judged": judged, "the_error": f"the error on {judged}"}
+    return {
+        "judged": judged,
+        "the_error": f"the error on {judged}",
+        "is_failing": is_failing,
+        "off_channels": off_channels,
+    }
 
 
 def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
     """Where a named effect acts; else what the force follows, or where it is."""
     force = diagnosis.analysis.force_in()
-    facts: dict[str, Any] = {"place": "", "places": []}
+    place: Answer | str = ""
+    places: list[str] = []
     is_known = is_past or diagnosis.verdict == Verdict.NAMED
     is_named = is_past or bool(diagnosis.findings)
     if is_known and len(diagnosis.findings) == 1 and diagnosis.findings[0].is_name:
         effect = diagnosis.findings[0].effects[0]
-        facts["place"] = law_answer(diagnosis.analysis, effect)
+        place = law_answer(diagnosis.analysis, effect)
     elif not force.is_uncertain:
-        facts["place"] = place_answer(force, is_named, is_known)
+        place = place_answer(force, is_named, is_known)
         # Where the members of the classes that were found act, each place once.
         classes = [one.effects for one in diagnosis.findings if not one.is_name]
-        facts["places"] = list(dict.fromkeys(map(_acts, chain(*classes))))
-    return answer("where", diagnosis, is_held_out=True, **facts)
+        places = list(dict.fromkeys(map(_acts, chain(*classes))))
+    return answer("where", diagnosis, place=place, places=places)
 
 
 def _acts(effect: Effect) -> str:
@@ -240,11 +245,12 @@ def samples_to_average(diagnosis: Diagnosis) -> int:
     return diagnosis.analysis.force_in().pace.samples_per_cycle
 
 
-def undetermined_words(model: BaseModel, parameters: pd.DataFrame) -> str:
+def undetermined_words(fit: Fit) -> str:
     """The parameters whose standard error exceeds their value; "" for none."""
+    parameters = fit.parameters
     errors = parameters["std_error"].astype(float)
     is_open = errors.gt(parameters["value"].abs()) & np.isfinite(errors)
-    words = partial(parameter_words, model)
+    words = partial(parameter_words, fit.model)
     names = list(map(words, parameters["name"][is_open]))
     if not names:
         return ""
@@ -285,7 +291,7 @@ def when_answer(diagnosis: Diagnosis, trained: Comparison) -> Answer:
         return Answer("At no time significantly.")
     record = force.record
     runs = [np.flatnonzero(record.run == k) for k in range(len(record.trajectories))]
-    sizes = np.array([rms(force.w[inside]) for inside in runs])
+    sizes = _sizes(force, runs)
     strongest = runs[force.strongest_run]
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
     window = force.window_words(longest=float(record.t.max()))
@@ -314,15 +320,19 @@ def gaps_of(diagnosis: Diagnosis, force: EquationForce) -> list[str]:
     data = diagnosis.data
     run = data.trajectories[data.trajectory_number(window.trajectory)]
     inside = (run.t >= window.begin) & (run.t <= window.end)
-    shares = np.mean(np.isnan(run.x[inside]), axis=0)
-    lacking = np.flatnonzero(shares > 0.1)
-    return [data.states[k] for k in lacking if data.states[k] in data.measured]
+    shares = zip(data.states, np.mean(np.isnan(run.x[inside]), axis=0), strict=True)
+    return [name for name, share in shares if share > 0.1 and name in data.measured]
+
+
+def _sizes(force: EquationForce, parts: Iterable[np.ndarray]) -> np.ndarray:
+    """How large a force is in parts of the record, (n_parts,)."""
+    return np.array([rms(force.w[inside]) for inside in parts])
 
 
 def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
     """Whether a run has several stretches of a clear force, and weak ones between."""
     stretches = np.array_split(inside, min(20, len(inside)))
-    sizes = np.array([rms(force.w[stretch]) for stretch in stretches])
+    sizes = _sizes(force, stretches)
     least = STRONG_STRETCH * np.max(sizes)
     if least < float(np.median(force.deviation[inside])):
         return False
@@ -340,13 +350,12 @@ def _beginning(force: EquationForce, inside: np.ndarray) -> str:
     """The time before which the force is far weaker, in words; "": none is such."""
     record = force.record
     parts = np.array_split(inside, min(40, len(inside)))
-    sizes = [rms(force.w[part]) for part in parts]
+    sizes = _sizes(force, parts)
     for part, size in zip(parts[1:], sizes[1:], strict=True):
         first = part[0]
         before = rms(force.w[inside[0] : first])
         after = rms(force.w[first : inside[-1] + 1])
-        is_strong = size > STRONG_STRETCH * max(sizes)
-        if is_strong and after > 3 * max(before, TINY):
+        if size > STRONG_STRETCH * max(sizes) and after > 3 * max(before, TINY):
             t = float(record.t[first] - record.estimate.grid.h[first] / 2)
             date = date_words(t, record.origin_of(force.window.trajectory))
             longest = float(record.t.max())
@@ -367,7 +376,7 @@ def headline_of(study: StudyRecord) -> Headline:
     if present is not None:
         status = str(present.verdict)
         remark = disturbance_word(present)
-        certainty = answer("certainty", present, True, added=study.last.added)
+        certainty = answer("certainty", present, added=study.last.added)
     severity = SEVERITIES[status]
     is_established = bool(study.last.added) and not study.unestablished
     is_partly = status == Verdict.UNEXPLAINED and is_established
@@ -377,7 +386,7 @@ def headline_of(study: StudyRecord) -> Headline:
     answers = _answers(study)
     fit = study.last.cautioned
     caution = fit.caution or study.last.judged.warning
-    cautions = (caution, undetermined_words(fit.model, fit.parameters))
+    cautions = (caution, undetermined_words(fit))
     return Headline(
         status,
         severity,
@@ -393,34 +402,34 @@ def headline_of(study: StudyRecord) -> Headline:
 
 def _brief(study: StudyRecord, certainty: str, to_do: Answer) -> tuple[Answer, ...]:
     """What somebody asks who does not read on."""
-    present = study.present
     found = [one for _, one in sorted(study.diagnoses.items()) if one.findings]
     evidence = [one.ranking[0].log_evidence for one in found]
     classes = list(chain(*(one.findings for one in found)))
     names = [" or ".join(map(str, finding.effects)) for finding in classes]
+    data = study.last.judged.data
+    longest = max(float(np.ptp(run.t)) for run in data)
     facts = {
         "odds": odds_words(min(evidence)) if evidence else "",
         "names": list(dict.fromkeys(names)),
         "has_class": not all(finding.is_name for finding in classes),
         "certainty": certainty,
         "ranges": _ranges(study),
-        "longest": _longest(study.last.judged.data),
-        "present": present,
+        "longest": time_words(longest, data.units.get("t", "")),
         "after": found[-1].ranking[0].comparison if found else None,
         "to_do": to_do,
     }
-    told = {"remains": _remains(study)}
-    for name in set(AT_A_GLANCE) - set(told):
-        told[name] = said_of(study, name, **facts)
-    asked = ((told[name], question) for name, question in AT_A_GLANCE.items())
-    return tuple(replace(one, question=question) for one, question in asked if one.lead)
+    told = []
+    for name, question in AT_A_GLANCE.items():
+        one = _remains(study) if name == "remains" else said_of(study, name, **facts)
+        told += [replace(one, question=question)] if one.lead else []
+    return tuple(told)
 
 
 def _ranges(study: StudyRecord) -> list[str]:
     """What the data cover, such as "q from -1 to 2 m", of at most four channels."""
     found: dict[tuple[str, str], list[float]] = {}
-    for part in (study.train, study.held_out, study.final):
-        for one in part.look.channels if part is not None else ():
+    for part in filter(None, (study.train, study.held_out, study.final)):
+        for one in part.look.channels:
             found.setdefault((one.name, one.unit), []).extend(one.values[one.known])
     covered = [(*key, values) for key, values in found.items() if values]
     return [
@@ -429,20 +438,13 @@ def _ranges(study: StudyRecord) -> list[str]:
     ]
 
 
-def _longest(data: Measurements) -> str:
-    """How long the longest run is."""
-    spans = map(np.ptp, map(attrgetter("t"), data))
-    return time_words(float(max(spans)), data.units.get("t", ""))
-
-
 def _remains(study: StudyRecord) -> Answer:
     """The force that no effect explains: how large, where, when."""
     present = study.present
     if present is None or present.verdict in (Verdict.NOTHING_MISSING, Verdict.NAMED):
         return Answer("")
     when = when_answer(present, study.last.train)
-    facts = {"where": where_answer(present), "when": when}
-    return answer("remains", present, study.held_out is not None, **facts)
+    return answer("remains", present, where=where_answer(present), when=when)
 
 
 def odds_words(log_evidence: float) -> str:
@@ -470,13 +472,13 @@ def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
         __package__,
         name,
         study=study,
-        **_judging(study.last.held_out is not None),
+        **_shared(study.last.held_out is not None),
+        present=study.present,
+        added=study.last.added,
         size=size,
         unit=spaced(unit),
         short=short,
         floor=study.last.judged.floor_words(size, short or spaced(unit)),
-        is_at_floor=lambda found: not is_failing(found),
-        off_channels=off_channels,
         **facts,
     )
 
@@ -485,8 +487,8 @@ def _discovery(study: StudyRecord) -> Answer:
     present = study.present
     lacking = Answer("")
     if present is not None and present.verdict != Verdict.NOTHING_MISSING:
-        lacking = answer("missing", present, study.held_out is not None)
-    added = study.last.added if len(study.steps) > 1 else ()
+        lacking = answer("missing", present)
+    added = study.last.added
     names = [one.name for one in added]
     open_ = {one.name: one.lost for one in study.unestablished}
     sure = []
@@ -506,9 +508,16 @@ def _discovery(study: StudyRecord) -> Answer:
             sure.append(called(name, *told[:1], *beside[1:]))
         else:
             sure.append(called(name, *beside))
-    found = {"sure": sure, "unsure": unsure, "storages": storages}
-    facts = {"present": present, "added": added, "lacking": lacking, "ask": ASK}
-    return said_of(study, "discovery", remains=_remains(study), **found, **facts)
+    return said_of(
+        study,
+        "discovery",
+        remains=_remains(study),
+        lacking=lacking,
+        ask=ASK,
+        sure=sure,
+        unsure=unsure,
+        storages=storages,
+    )
 
 
 def _beside(study: StudyRecord, effect: Effect) -> tuple[str, str]:
@@ -525,23 +534,21 @@ def _answers(study: StudyRecord) -> tuple[Answer, ...]:
     place = telling_step(study)
     present = study.present
     if place is None:
-        told = NOT_YET if present is None else NOTHING_FOUND
-        return tuple(Answer(lead, question=asked) for asked, lead in told)
+        return NOT_YET if present is None else NOTHING_FOUND
     diagnosis = study.diagnoses[place]
     step = study.steps[place]
-    is_held_out = study.held_out is not None
     is_past = diagnosis is not present
     if is_past:
         questions = PAST
         whose = "the base model's"
         if step.added:
             whose = f"with {' and '.join(map(str, step.added))}, the model's"
-        wrong = answer("was_wrong", diagnosis, is_held_out, whose=whose)
+        wrong = answer("was_wrong", diagnosis, whose=whose)
         to_do = _was_added(study)
     else:
         questions = PRESENT if diagnosis.findings else UNNAMED
-        wrong = answer("wrong", diagnosis, is_held_out)
-        to_do = answer("to_do", diagnosis, is_held_out)
+        wrong = answer("wrong", diagnosis)
+        to_do = answer("to_do", diagnosis)
     when = when_answer(diagnosis, step.train)
     answers = (wrong, where_answer(diagnosis, is_past), when, to_do)
     asked = zip(answers, questions, strict=True)
@@ -559,26 +566,25 @@ def _was_added(study: StudyRecord) -> Answer:
     sizes = []
     for effect in study.last.added:
         name = str(effect)
-        doubt = f"{name}, not established"
         told = called(name, *_beside(study, effect))
-        sizes.append(doubt if name in open_ else told)
-    names = list(map(str, study.last.added))
+        sizes.append(f"{name}, not established" if name in open_ else told)
+    names = map(str, study.last.added)
     clear = {name: clear[name] for name in names if name in clear}
-    return said_of(study, "was_added", added=names, sizes=sizes, clear=clear)
+    return said_of(study, "was_added", sizes=sizes, clear=clear)
 
 
 def step_story(study: StudyRecord, place: int) -> str:
     """One diagnosis in a paragraph, as an engineer would write it."""
     diagnosis = study.diagnoses[place]
-    is_held_out = study.held_out is not None
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
-        return answer("noise_alone", diagnosis, is_held_out).lead
-    facts = {
-        "missing": answer("missing", diagnosis, is_held_out),
-        "where": where_answer(diagnosis),
-        "when": when_answer(diagnosis, study.steps[place].train),
-        "to_do": answer("to_do", diagnosis, is_held_out),
-        "place": place,
-        "step": next(iter(study.steps[place + 1 : place + 2]), None),
-    }
-    return answer("story", diagnosis, is_held_out, **facts).lead
+        return answer("noise_alone", diagnosis).lead
+    return answer(
+        "story",
+        diagnosis,
+        missing=answer("missing", diagnosis),
+        where=where_answer(diagnosis),
+        when=when_answer(diagnosis, study.steps[place].train),
+        to_do=answer("to_do", diagnosis),
+        place=place,
+        steps=study.steps,
+    ).lead

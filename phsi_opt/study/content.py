@@ -52,7 +52,6 @@ from phsi_opt.presentation.numbers import (
 )
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
-    STANDARD_DEVIATIONS,
     Scale,
     scale_of,
     scale_of_time,
@@ -164,9 +163,8 @@ def _errors(study: StudyRecord) -> str:
     for which, error in errors.items():
         if low <= error < judged.noise_floor:
             at_floor.append(f"{number(size * error, 3)}{which}")
-    facts = {"at_floor": at_floor, "of_channels": study.unit == STANDARD_DEVIATIONS}
     follows = only_follows(last.train, last.judged)
-    return said_of(study, "how_errors_stand", follows=follows, **facts).lead
+    return said_of(study, "how_errors_stand", follows=follows, at_floor=at_floor).lead
 
 
 # ---- models --------------------------------------------------------------------------
@@ -223,11 +221,11 @@ def _runs(study: StudyRecord, steps: Sequence[Step], time: Scale) -> tuple[Run, 
 
 def _most_changed(runs: tuple[Run, ...]) -> tuple[int, int]:
     """The run that judges, and its channel, in which the models differ most."""
-    changes: dict[tuple[int, int], float] = {}
+    places = []
     for k, run in enumerate(runs):
         if run.part == runs[0].part:
-            changes |= {(k, c): one.change for c, one in enumerate(run.channels)}
-    return max(changes, key=changes.__getitem__)
+            places += [(k, c) for c in range(len(run.channels))]
+    return max(places, key=lambda at: runs[at[0]].channels[at[1]].change)
 
 
 def _run(
@@ -287,13 +285,12 @@ def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
 
 def _all_forces(study: StudyRecord, time: Scale) -> tuple[ForceRun, ...]:
     """The missing force of the present model, by part, equation and run."""
-    found: tuple[ForceRun, ...] = ()
+    found: list[ForceRun] = []
     parts = {TRAINING: study.last.train, HELD_OUT: study.last.held_out}
     for part, compared in parts.items():
-        if compared is not None:
-            for force in ForceAnalysis.of(compared.record).forces:
-                found += force_runs(force, part, time)
-    return found
+        for force in ForceAnalysis.of(compared.record).forces if compared else ():
+            found += force_runs(force, part, time)
+    return tuple(found)
 
 
 def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
@@ -475,9 +472,7 @@ def _settings(study: StudyRecord, headline: Headline) -> tuple[Answer, ...]:
     hold = HOLD_WORDS.get(hold, hold)
     told = {
         "Training data": _data(study.train, "all parameters are fitted to them"),
-        "Held-out data": _data(
-            study.held_out, "not fitted; they help to choose effects"
-        ),
+        "Held-out data": _data(study.held_out, HELPS),
         "Final test": _data(study.final, "looked at once, at the end"),
         "Starting states": "estimated from each whole run, also of held-out data",
         "Units": ", ".join(units) or "not given",

@@ -473,17 +473,15 @@ class Study(Summarised):
         return study_content(self.record, forces=forces)
 
     def _added_effect(self, effect: str | Effect, equation: str | None) -> Effect:
-        name = effect if isinstance(effect, str) else effect.name
-        place = equation if isinstance(effect, str) else effect.equation
-        found = []
-        for known in self.added:
-            if known.name == name and place in (None, known.equation):
-                found.append(known)
+        if isinstance(effect, Effect):
+            equation, effect = effect.equation, effect.name
+        named = [known for known in self.added if known.name == effect]
+        found = [known for known in named if equation in (None, known.equation)]
         if len(found) != 1:
             listed = ", ".join(map(str, self.added)) or "none"
             raise ModelError(
-                f"{len(found)} effects named {name!r} on {place or 'any equation'} "
-                f"were added; added are {listed}."
+                f"{len(found)} effects named {effect!r} on "
+                f"{equation or 'any equation'} were added; added are {listed}."
             )
         return found[0]
 
