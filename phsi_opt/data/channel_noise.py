@@ -48,8 +48,10 @@ def robust_deviation(residuals: np.ndarray) -> float:
     """Standard deviation of normal residuals (n,), through their median.
 
     The median size of a standard normal number is 0.6745. It is not moved by the few
-    samples at a jump of the force.
+    samples at a jump of the force. NaN of none.
     """
+    if not len(residuals):
+        return np.nan
     return float(np.median(np.abs(residuals)) / 0.6745)
 
 
@@ -119,8 +121,8 @@ def lattice_step(values: np.ndarray, error: float) -> float:
         values: (n_values,) sorted, all different.
         error: of a value, at most.
     """
-    is_new = np.diff(values) > SAME_VALUE * error
-    values = values[np.r_[True, is_new]]
+    is_new = np.diff(values, prepend=-np.inf) > SAME_VALUE * error
+    values = values[is_new]
     if len(values) < 2:
         return 0.0
     gaps = np.diff(values)
@@ -146,7 +148,7 @@ def _fitted_lattice(
     """The step by least squares, and the largest distance from its lattice."""
 
     def counted(step: float) -> np.ndarray:  # steps from the first value to each
-        return np.concatenate([[0.0], np.cumsum(np.round(gaps / step))])
+        return np.append(0.0, np.cumsum(np.round(gaps / step)))
 
     gaps = np.diff(values)
     single = gaps[gaps <= step + SAME_VALUE * error]

@@ -220,20 +220,20 @@ def hold_of_each(hold: Any, inputs: Sequence[str]) -> np.ndarray:
     An input that a mapping leaves out is "linear".
     """
     if isinstance(hold, Mapping):
-        by_input = dict.fromkeys(inputs, "linear")
-        by_input |= checked_by_name(hold, inputs, "hold")
-        return np.array(list(by_input.values()), dtype=str)
+        given = checked_by_name(hold, inputs, "hold")
+        return np.array([given.get(name, "linear") for name in inputs], dtype=str)
     require_known(hold, HOLDS, f"hold={shown(hold)} is unknown", DataError)
-    return np.array([hold] * len(inputs), dtype=str)
+    return np.full(len(inputs), hold)
 
 
 def checked_hold(hold: Any, inputs: Sequence[str]) -> str | dict[str, str]:
     """One of `HOLDS` for all inputs, or one by input if they differ."""
-    by_input = dict(zip(inputs, hold_of_each(hold, inputs).tolist(), strict=True))
+    of_each = hold_of_each(hold, inputs).tolist()
     if isinstance(hold, str):
         return hold
-    different = list(dict.fromkeys(by_input.values())) or ["linear"]
-    return by_input if len(different) > 1 else different[0]
+    if len(set(of_each)) > 1:
+        return dict(zip(inputs, of_each, strict=True))
+    return of_each[0] if of_each else "linear"
 
 
 def numbered_names(prefix: str, n: int) -> list[str]:

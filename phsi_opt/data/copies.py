@@ -126,11 +126,10 @@ class _Channels:
     @cached_property
     def allowed(self) -> np.ndarray:
         """Root mean square difference of a copy, at most, (n_channels,)."""
-        noise = np.zeros(len(self._scatters))
-        if self.run.n_samples >= FEWEST_SAMPLES:
-            for k, residuals in enumerate(self._scatters):
-                noise[k] = robust_deviation(residuals) if len(residuals) else 0.0
-        return noise / np.sqrt(2)
+        if self.run.n_samples < FEWEST_SAMPLES:
+            return np.zeros(len(self._scatters))
+        noise = np.array(list(map(robust_deviation, self._scatters)))
+        return np.nan_to_num(noise) / np.sqrt(2)
 
     @cached_property
     def is_noisy(self) -> bool:

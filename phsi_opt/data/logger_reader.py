@@ -73,22 +73,21 @@ def read(
     groups: dict[str, Group] = {}
     for name, group in GROUPS_BY[library](content):
         groups[f"{name} {len(groups) + 1}" if name in groups else name] = group
-    filled = [
-        name
-        for name, group in groups.items()
-        if group.n_samples and {one.name for one in group.channels} - {TIME}
-    ]
+    filled = []
+    for name, group in groups.items():
+        if group.n_samples and {one.name for one in group.channels} - {TIME}:
+            filled.append(name)
     filled.sort(key=lambda name: -groups[name].n_samples)
     part = chosen_part(part, filled, filled, "group", title, may_be_several)
     group = groups[part]
     check_size(group.size, most, "of samples")
-    names = [one.name for one in group.channels]
-    wanted = names if asked is None or not {*names}.issuperset(asked) else asked
+    names = {one.name for one in group.channels}
+    wanted = asked if asked is not None and names.issuperset(asked) else names
     chosen = [one for one in group.channels if one.name in wanted]
     columns = list(itertools.filterfalse(attrgetter("why_not"), chosen))
     others = list(filter(attrgetter("why_not"), chosen))
     for one in others:
-        if asked is not None and one.name in asked:
+        if one.name in (asked or ()):
             raise DataError(
                 f"{title}, group {shown(part)}: the channel {shown(one.name)} cannot "
                 f"be read: {one.why_not}. Export it as numbers."
@@ -152,9 +151,9 @@ def _values_in_mdf(mdf: Any, number: int, index: int, is_old: bool) -> np.ndarra
     )
     conversion = mdf.groups[number].channels[index].conversion
     values = physical(conversion, is_old, raw)
-    if is_invalid is None or not is_invalid.any():
-        return values
-    return np.where(is_invalid, np.nan, values)
+    if is_invalid is not None and is_invalid.any():
+        return np.where(is_invalid, np.nan, values)
+    return values
 
 
 def _groups_of_tdms(content: Any) -> Iterator[tuple[str, Group]]:

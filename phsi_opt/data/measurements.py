@@ -36,6 +36,7 @@ from phsi_opt.data.trajectory import (
     check_channels,
     checked_trajectories,
     part_of,
+    run_numbers,
     trajectories_in_arrays,
 )
 from phsi_opt.errors import DataError, shown, some_of
@@ -107,14 +108,13 @@ class Measurements(TableReaders, Summarised):
         check_unique(states + inputs, "name")
         names = ("t", *states, *inputs)
         units = checked_by_name(self.units, names, "units")
-        noise = self.noise
         checked = {
             "trajectories": trajectories,
             "states": states,
             "inputs": inputs,
             "hold": checked_hold(self.hold, inputs),
             "units": dict.fromkeys(names, "") | units,
-            "noise": None if noise is None else checked_by_name(noise, states, "noise"),
+            "noise": self.noise and checked_by_name(self.noise, states, "noise"),
         }
         for name, value in checked.items():
             frozen = MappingProxyType(value) if isinstance(value, dict) else value
@@ -156,8 +156,8 @@ class Measurements(TableReaders, Summarised):
         trajectories = trajectories_in_arrays(t, x, u, names)
         if inputs is None:
             inputs = numbered_names("u", trajectories[0].u.shape[1])
-        units = {} if units is None else units
-        return cls(trajectories, tuple(states), tuple(inputs), units, hold, noise)
+        channels = (tuple(states), tuple(inputs))
+        return cls(trajectories, *channels, units or {}, hold, noise)
 
     @property
     def n_states(self) -> int:
@@ -242,11 +242,11 @@ class Measurements(TableReaders, Summarised):
             'm'
         """
         units = in_si(self.units)
-        if units == dict(self.units):
-            return self
-        new = {name for name, unit in units.items() if unit is not self.units[name]}
-        scales = {name: scale_of(units[name]) for name in new}
-        return self._converted(units, {name: one.read for name, one in scales.items()})
+        read = {}
+        for name, unit in units.items():
+            if unit is not self.units[name]:
+                read[name] = scale_of(unit).read
+        return self._converted(units, read) if read else self
 
     def as_written(self) -> Self:
         """The same measurements in the units that were given; the reverse of `in_si`.
@@ -255,11 +255,13 @@ class Measurements(TableReaders, Summarised):
             >>> data.in_si().as_written().units == data.units
             True
         """
-        scales = {name: scale_of(unit) for name, unit in self.units.items()}
-        units = {name: scale.unit for name, scale in scales.items()}
-        if not any(isinstance(unit, Unit) for unit in self.units.values()):
-            return self
-        return self._converted(units, {name: one.shown for name, one in scales.items()})
+        units = dict(self.units)
+        shown_as = {}
+        for name, unit in self.units.items():
+            if isinstance(unit, Unit):
+                units[name] = unit.scale.unit
+                shown_as[name] = unit.scale.shown
+        return self._converted(units, shown_as) if shown_as else self
 
     def _converted(
         self, units: Mapping[str, str], converted: Mapping[str, Callable[[Any], Any]]
@@ -268,17 +270,13 @@ class Measurements(TableReaders, Summarised):
         runs = []
         for run in self.trajectories:
             t, x, u = map(np.array, (run.t, run.x, run.u))
-            columns = (t, *x.T, *u.T)  # views
-            names = ("t", *self.states, *self.inputs)
-            for name, values in zip(names, columns, strict=True):
+            for name, values in zip(self.units, (t, *x.T, *u.T), strict=True):  # views
                 if name in converted:
                     values[:] = converted[name](values)
             runs.append(replace(run, t=t, x=x, u=u))
-
         noise = dict(self.noise or {})
         for name in noise.keys() & converted.keys():
-            zero, end = converted[name](0.0), converted[name](noise[name])
-            noise[name] = end - zero
+            noise[name] = converted[name](noise[name]) - converted[name](0.0)
         return self._of(runs, units=units, noise=noise or None)
 
     def _of(self, runs: Iterable[Trajectory], **changes: Any) -> Self:
@@ -345,9 +343,9 @@ class Measurements(TableReaders, Summarised):
                 "a split in time needs at least 4."
             )
         n_train = _size_of_first(run.n_samples, fraction, at_least=2)
-        parts = (slice(n_train), slice(n_train, None))
-        train, test = (self._of([part_of(run, rows)]) for rows in parts)
-        return train, test
+        train = part_of(run, slice(n_train))
+        test = part_of(run, slice(n_train, None))
+        return self._of([train]), self._of([test])
 
     def between(self, begin: float | None, end: float | None) -> Self:
         """The samples with begin <= t <= end of every trajectory.
@@ -369,10 +367,10 @@ class Measurements(TableReaders, Summarised):
                     f"{said}: {shown(value)} is not a time; expected numbers in the "
                     "unit of the times, or None."
                 )
-        if begin is not None and end is not None and not begin < end:
-            raise DataError(f"{said}: the first time must be less than the last.")
         first = -np.inf if begin is None else float(begin)
         last = np.inf if end is None else float(end)
+        if not first < last:
+            raise DataError(f"{said}: the first time must be less than the last.")
         return self._of(_between(run, first, last) for run in self.trajectories)
 
     def thinned(self, n: int, by: str = "mean") -> Self:
@@ -407,13 +405,13 @@ class Measurements(TableReaders, Summarised):
                 f"thinned({shown(n)}): expected the number of samples that become one, "
                 "such as 10."
             )
-        size = int(n)
+        width = int(n) if by == "mean" else 1
         hold = hold_of_each(self.hold, self.inputs)
-        runs = [_thinned_run(run, size, by, hold) for run in self.trajectories]
-        noise = self.noise
-        if noise is not None and by == "mean":
-            noise = {name: sigma / np.sqrt(size) for name, sigma in noise.items()}
-        return self._of(runs, noise=noise)
+        runs = [_thinned_run(run, int(n), width, hold) for run in self.trajectories]
+        noise = dict(self.noise or {})
+        for name, sigma in noise.items():
+            noise[name] = sigma / np.sqrt(width)
+        return self._of(runs, noise=noise or None)
 
     def to_dataframe(self) -> "pd.DataFrame":
         """All samples as a table.
@@ -426,9 +424,8 @@ class Measurements(TableReaders, Summarised):
 
         values = np.column_stack(list(map(self.stacked, ("t", "x", "u"))))
         frame = pd.DataFrame(values, columns=["t", *self.states, *self.inputs])
-        names = [run.name for run in self.trajectories]
-        n_samples = [run.n_samples for run in self.trajectories]
-        frame.insert(0, "trajectory", np.repeat(np.array(names, object), n_samples))
+        names = np.array([run.name for run in self.trajectories], object)
+        frame.insert(0, "trajectory", names[run_numbers(self.trajectories)])
         return frame
 
     @cached_property
@@ -491,19 +488,16 @@ class Measurements(TableReaders, Summarised):
     def _summary(self) -> Summary:
         """Numbers of trajectories and samples, span of time, and what is noticed."""
         runs = number_of(self.n_trajectories, "trajectory", "trajectories")
-        written = self.as_written()
-        t = written.stacked("t")
-        unit = f" [{written.units['t']}]" if written.units["t"] else ""
-        span = f"t = {t.min():g} to {t.max():g}{unit}"
-        title = f"Measurements: {runs}, {self.n_samples} samples, {span}"
         table = self.noticed
+        clock = table.iloc[0]
+        unit = f" [{clock.unit}]" if clock.unit else ""
+        span = f"t = {clock.lowest:g} to {clock.highest:g}{unit}"
+        title = f"Measurements: {runs}, {self.n_samples} samples, {span}"
         channels = table[1:].drop(columns="noticed")
-        told = []
-        for name, noticed in zip(table["channel"], table["noticed"], strict=True):
-            if noticed:
-                line = f"{name}: {noticed}"
-                told.append(fill(line, LINE_WIDTH, subsequent_indent="  "))
-        return Summary(title, (Part(table=channels), Part(code="\n".join(told))))
+        told = table[table.noticed != ""]
+        lines = told.channel + ": " + told.noticed
+        folded = lines.map(partial(fill, width=LINE_WIDTH, subsequent_indent="  "))
+        return Summary(title, (Part(table=channels), Part(code="\n".join(folded))))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because a mappingproxy cannot be pickled."""
@@ -531,9 +525,9 @@ def _check_slice(names: Sequence[str], key: slice) -> None:
     bounds = [key.start, key.stop, key.step]
     if all(map(is_number, bounds)) and names[key]:
         return
-    if key.step is None:
-        del bounds[-1]
     written = ":".join("" if bound is None else repr(bound) for bound in bounds)
+    if key.step is None:
+        written = written.removesuffix(":")
     raise DataError(
         f"data[{written}] selects trajectories; there are {len(names)}: "
         f"{some_of(names)}. To select a time span, use data.between(begin, end); to "
@@ -561,10 +555,9 @@ def _between(run: Trajectory, first: float, last: float) -> Trajectory:
     return part_of(run, slice(begin, end))
 
 
-def _thinned_run(run: Trajectory, n: int, by: str, hold: np.ndarray) -> Trajectory:
-    """A trajectory with one sample for every n, and its inputs' (n_inputs,) holds."""
-    width = n if by == "mean" else 1  # of the moving mean
-    gaps = DataLook((run,), (), (), {}, ()).gaps
+def _thinned_run(run: Trajectory, n: int, width: int, hold: np.ndarray) -> Trajectory:
+    """A trajectory with a mean of ``width`` samples for every n; (n_inputs,) holds."""
+    gaps = DataLook((run,)).gaps
     parts = pairwise([0, *(gaps + 1), run.n_samples])
     picked = np.concatenate([np.arange(a, b - width + 1, n) for a, b in parts])
     if len(picked) < 2:
@@ -580,9 +573,7 @@ def _thinned_run(run: Trajectory, n: int, by: str, hold: np.ndarray) -> Trajecto
         mean: np.ndarray = windows.mean(axis=-1)
         return mean
 
-    t = means(run.t)
-    x = means(run.x)
-    u = means(run.u)
+    t, x, u = map(means, (run.t, run.x, run.u))
     is_held = hold == "zero"
     changes = np.append(
         np.any(np.diff(u[:, is_held], axis=0), axis=1).nonzero(), len(t)
@@ -590,7 +581,7 @@ def _thinned_run(run: Trajectory, n: int, by: str, hold: np.ndarray) -> Trajecto
     firsts = changes[np.searchsorted(changes, picked[:-1])] + 1
     is_between = firsts < picked[1:]
     is_between &= np.diff(np.searchsorted(gaps, picked)) == 0
-    for first, end in zip(firsts[is_between], picked[1:][is_between], strict=True):
+    for first, end in np.c_[firsts, picked[1:]][is_between]:
         x[first] = np.nan
         lengths = np.diff(t[first : end + 1])
         u[first, is_held] = lengths @ u[first:end, is_held] / lengths.sum()

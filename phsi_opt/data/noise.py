@@ -10,6 +10,8 @@ samples, as a share of itself. Trajectories whose scatter differs by more than t
 noises of their own.
 """
 
+from itertools import compress
+
 import numpy as np
 
 from phsi_opt.criteria import RESOLVED_STEPS, SURE_LEVEL
@@ -43,11 +45,9 @@ def difference_noise(data: Measurements) -> np.ndarray:
     At least what quantisation makes of the values: most differences of a slow signal
     are then zero. (n_states,), NaN with fewer than 5 samples in every trajectory.
     """
-    noise = np.full(data.n_states, np.nan)
+    noise = np.empty(data.n_states)
     for k in range(data.n_states):
-        _, residuals = scatter_residuals(data, k)
-        if len(residuals):
-            noise[k] = robust_deviation(residuals)
+        noise[k] = robust_deviation(scatter_residuals(data, k)[1])
     return np.maximum(noise, quantisation_noise(data))
 
 
@@ -67,13 +67,11 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
         DataError: no measured value ever changes.
     """
     y = data.stacked("x")
-    is_measured = np.isfinite(y).any(axis=0)
-    highest = np.fmax.reduce(y[:, is_measured], axis=0)  # NaN is not measured
-    lowest = np.fmin.reduce(y[:, is_measured], axis=0)
-    if not (highest > lowest).any():
+    highest = np.fmax.reduce(y)  # NaN is not measured
+    if not (highest > np.fmin.reduce(y)).any():
         raise DataError(
             f"every measured value of {', '.join(data.measured)} is the same "
-            f"({highest.max():g}): nothing moves, so nothing can be identified. "
+            f"({np.nanmax(highest):g}): nothing moves, so nothing can be identified. "
             "Check the columns, or measure while the system moves."
         )
     spread = channel_spread(data)
@@ -82,9 +80,11 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     unknown = 0.1 * np.where(spread > 0, spread, _size(y))
     noise = np.where(np.isfinite(noise), noise, unknown)
     noise = np.maximum(noise, least_noise(y))
-    is_given = np.zeros(data.n_states, bool) if given is None else np.isfinite(given)
-    noise = np.where(is_given, noise, np.maximum(noise, quantisation_noise(data)))
-    return np.where(is_measured, noise, 1.0)
+    quantised = quantisation_noise(data)
+    if given is not None:
+        quantised[np.isfinite(given)] = 0.0
+    noise = np.maximum(noise, quantised)
+    return np.where(np.isfinite(highest), noise, 1.0)
 
 
 def least_noise(y: np.ndarray) -> np.ndarray:
@@ -146,12 +146,8 @@ def scatter_by_run(data: Measurements) -> np.ndarray:
 def _of_runs(data: Measurements, state: int) -> np.ndarray:
     """What neighbouring samples of each trajectory scatter, (n_trajectories,)."""
     run, residuals = scatter_residuals(data, state)
-    scatter = np.full(data.n_trajectories, np.nan)
     ends = np.searchsorted(run, np.arange(1, data.n_trajectories))
-    for k, own in enumerate(np.split(residuals, ends)):
-        if len(own):
-            scatter[k] = robust_deviation(own)
-    return scatter
+    return np.array(list(map(robust_deviation, np.split(residuals, ends))))
 
 
 def _differ(values: np.ndarray, variances: np.ndarray) -> bool:
@@ -179,9 +175,6 @@ def unresolved_channels(data: Measurements) -> tuple[str, ...]:
 
     The errors of their values follow the motion and are no noise.
     """
-    names = []
     steps = quantisation_noise(data) / DEVIATION_PER_STEP
-    for name, step, values in zip(data.states, steps, data.stacked("x").T, strict=True):
-        if step > 0 and np.nanstd(values) < RESOLVED_STEPS * step:
-            names.append(name)
-    return tuple(names)
+    is_coarse = (steps > 0) & (channel_spread(data) < RESOLVED_STEPS * steps)
+    return tuple(compress(data.states, is_coarse))

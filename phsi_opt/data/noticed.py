@@ -5,11 +5,12 @@ that its function states; a reader decides whether it matters.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
 from operator import attrgetter
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from phsi_opt.data.channel_noise import (
     DEVIATION_PER_STEP,
@@ -65,10 +66,10 @@ class DataLook:
     """
 
     trajectories: tuple[Trajectory, ...]
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    units: Mapping[str, str]
-    hold: tuple[str, ...]
+    states: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    hold: tuple[str, ...] = ()
 
     def _stacked(self, what: str) -> np.ndarray:
         return np.concatenate([getattr(run, what) for run in self.trajectories])
@@ -128,7 +129,7 @@ class DataLook:
         return "; ".join(filter(None, words))
 
     def _regularity(self) -> str:
-        steps = self.steps if self.is_uneven else self.steps / self.relative_steps
+        steps = self.steps if self.is_uneven else self.typical_steps
         low = np.nanmin(steps)
         high = np.nanmax(steps)
         is_one = high - low <= REGULAR_STEPS * high
@@ -137,9 +138,8 @@ class DataLook:
         if self.is_uneven:
             return f"uneven, {every}"
         relative = np.delete(self.relative_steps, self.gaps)
-        relative = relative[np.isfinite(relative)]
-        is_regular = np.max(np.abs(relative - 1), initial=0.0) <= REGULAR_STEPS
-        jitter = f"jitter {100 * np.std(relative):.2g} %"
+        is_regular = not np.any(np.abs(relative - 1) > REGULAR_STEPS)
+        jitter = f"jitter {100 * np.nanstd(relative):.2g} %"
         words = [every, "regular" if is_regular else jitter]
         if len(self.gaps):
             longest = int(self.gaps[np.argmax(self.steps[self.gaps])])
@@ -171,15 +171,13 @@ class DataLook:
         """
         measured = [one for one in self.channels if len(one.known)]
         has_noise = any(not one.resolution and one.noise > 0 for one in measured)
-        y = np.column_stack(list(map(attrgetter("values"), measured)))
-        is_new = np.append(True, np.any(y[1:] != y[:-1], axis=1))
-        is_new[self.ends] = True
-        begins = np.flatnonzero(is_new)
-        lengths = np.diff(begins, append=len(y))
+        y = np.array(list(map(attrgetter("values"), measured)))
+        repeats = np.all(list(map(self._repeats, y)), axis=0)
+        begins, lengths = _stretches(repeats)
         is_short = (lengths > 1) & (lengths < MANY)
         n = int(np.sum(lengths[is_short] - 1))
-        by_chance = np.sum(np.all(y[2:] == y[:-2], axis=1) & is_new[2:])
-        if not has_noise or not max(MANY, BEYOND * by_chance) <= n < len(y) / 2:
+        by_chance = np.sum(np.all(y[:, 2:] == y[:, :-2], axis=0) & ~repeats[2:])
+        if not has_noise or not max(MANY, BEYOND * by_chance) <= n < len(repeats) / 2:
             return ""
         place = self.place_words(begins[is_short][0] + 1)
         samples = number_of(n, "sample")
@@ -206,12 +204,13 @@ class DataLook:
         step = resolution(np.split(values, self.ends))
         residuals = scatter_of(self.t, values, self.run)[1]
         noise = np.nan
-        if len(residuals) and hold != "zero":  # steps are no noise
+        if hold != "zero":  # steps are no noise
             noise = max(robust_deviation(residuals), DEVIATION_PER_STEP * step)
-        known = np.flatnonzero(np.isfinite(values))
-        of_known = (self.t[known], values[known], self.run[known])
-        peaks = known[lone_peaks(*of_known, noise)]
-        outliers = NO_SAMPLES if hold == "zero" else peaks  # a held pulse is meant
+        outliers = NO_SAMPLES
+        if hold != "zero":  # a held pulse is meant
+            known = np.flatnonzero(np.isfinite(values))
+            of_known = (self.t[known], values[known], self.run[known])
+            outliers = known[lone_peaks(*of_known, noise)]
         at_limit = NO_SAMPLES if hold else samples_at_limit(values)
         unit = self.units[name]
         return ChannelLook(name, unit, hold, values, step, noise, outliers, at_limit)
@@ -226,20 +225,20 @@ class DataLook:
         """What is noticed of samples that may be spoilt, a phrase for each state."""
         words = []
         for one in self.state_looks:
-            phrases = list(self.errors(one))
+            phrases = "; ".join(self.errors(one))
             if phrases and np.nanstd(one.values) > 0:
-                words.append(f"{one.name}: {'; '.join(phrases)}")
+                words.append(f"{one.name}: {phrases}")
         return tuple(words)
 
     def remarks(self, one: ChannelLook) -> Iterator[str]:
         """What is noticed of a channel, a phrase each."""
         values = one.values[one.known]
+        n_samples = len(one.values)
         if not len(values):
             yield "not measured"
             return
-        n_missing = len(one.values) - len(values)
-        if n_missing:
-            yield f"{n_missing} of {len(one.values)} missing"
+        if len(values) < n_samples:
+            yield f"{n_samples - len(values)} of {n_samples} missing"
         yield from self._fill_values(one)
         if len(values) > 1 and np.ptp(values) == 0:
             yield "does not change"
@@ -304,11 +303,9 @@ class DataLook:
     def _stays(self, values: np.ndarray) -> Iterator[str]:
         """Whether a channel keeps its values, or stops once, as a stuck sensor does."""
         repeats = self._repeats(values)
-        begins = np.flatnonzero(~repeats)
-        lengths = np.diff(begins, append=len(values))
-        longest = int(np.argmax(lengths))
-        begin = begins[longest]
-        length = lengths[longest]
+        begins, lengths = _stretches(repeats)
+        length = lengths.max()
+        begin = begins[np.argmax(lengths)]
         if np.mean(repeats) > 0.5:
             yield f"a new value every {np.mean(lengths):.3g} samples"
         elif length >= MANY:
@@ -338,7 +335,7 @@ def breaks_of(run: Trajectory) -> np.ndarray:
     elsewhere in the run misses less than 3 % of its variance, as of a smooth input. The
     states of a model begin anew after the gap, and need some samples on both sides.
     """
-    look = DataLook((run,), (), (), {}, ())
+    look = DataLook((run,))
     missed = cache(partial(_missed_share, look))
     breaks = [-1]
     for k in look.gaps:
@@ -366,6 +363,12 @@ def _missed_share(look: DataLook, place: int, n_steps: int) -> float:
     return float(np.mean((u[first + half] - between) ** 2) / np.var(u))
 
 
+def _stretches(repeats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where stretches of samples that repeat the one before begin; their lengths."""
+    begins = np.flatnonzero(~repeats)
+    return begins, np.diff(begins, append=len(repeats))
+
+
 def lone_peaks(
     t: np.ndarray, y: np.ndarray, run: np.ndarray, noise: float
 ) -> np.ndarray:
@@ -380,27 +383,21 @@ def lone_peaks(
     has this pattern and is five times as large as all others within five samples, and
     as their standard deviation by noise (NaN: not known).
     """
-    n = len(y)
-    if n < 3:
+    if len(y) < 3:
         return NO_SAMPLES
-    away = np.zeros(n + 2 * AROUND)  # zero where a sample has no two neighbours
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
     between = (1 - share) * y[:-2] + share * y[2:]
-    is_inside = run[2:] == run[:-2]
-    away[AROUND + 1 : AROUND + n - 1] = np.where(is_inside, y[1:-1] - between, 0.0)
-
-    def moved(k: int) -> np.ndarray:
-        return away[AROUND + k : AROUND + k + n]
-
-    size = np.abs(moved(0))
-    is_peak = size > BEYOND * np.sqrt(1.5) * np.nan_to_num(noise)
-    for k in (-1, 1):
-        beside = moved(k) / np.where(size > 0, moved(0), 1.0)
-        is_peak &= (beside < -0.25) & (beside > -0.75)
-    for k in range(2, AROUND + 1):
-        others = np.maximum(np.abs(moved(k)), np.abs(moved(-k)))
-        is_peak &= size > BEYOND * others
-    return np.flatnonzero(is_peak)
+    away = np.where(run[2:] == run[:-2], y[1:-1] - between, 0.0)
+    # zero where a sample has no two neighbours
+    around = sliding_window_view(np.pad(away, AROUND + 1), 2 * AROUND + 1)
+    near = around[:, AROUND - 1 : AROUND + 2]
+    size = np.abs(near[:, 1])
+    beside = near[:, ::2] / np.where(size > 0, near[:, 1], 1.0)[:, None]
+    far = np.delete(around, np.s_[AROUND - 1 : AROUND + 2], axis=1)
+    by_noise = np.sqrt(1.5) * np.nan_to_num(noise)
+    is_peak = size > BEYOND * np.maximum(by_noise, np.abs(far).max(axis=1))
+    has_pattern = np.all((beside < -0.25) & (beside > -0.75), axis=1)
+    return np.flatnonzero(is_peak & has_pattern)
 
 
 def samples_at_limit(values: np.ndarray) -> np.ndarray:

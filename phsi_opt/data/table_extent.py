@@ -108,9 +108,8 @@ class Row:
         """
         if self.kinds.startswith(WORD) and typical.startswith(GAP):
             return False
-        n_alike = 0
-        for own, other in zip(self.kinds, typical, strict=False):
-            n_alike += own == other != GAP
+        pairs = zip(self.kinds, typical, strict=False)
+        n_alike = sum(own == other != GAP for own, other in pairs)
         n_cells = len(self.kinds) - self.kinds.count(GAP)
         return 2 * n_alike > n_cells or not n_cells
 
@@ -137,14 +136,10 @@ class Section:
     @property
     def is_table(self) -> bool:
         """Whether it may be a table of samples."""
-        if len(self.values) == 1:
-            is_wide = self.values[0].width > 1
-            return is_wide and bool(self.texts) and WORD not in self.typical
-        return bool(self.values) and not self.is_list
-
-    def may_be_below(self, table: "Section") -> bool:
-        """Whether it is text or statistics, and no further samples."""
-        return not self.values or (self.is_list and table.typical[:1] != WORD)
+        if len(self.values) > 1:
+            return not self.is_list
+        is_wide = any(row.width > 1 for row in self.values)
+        return is_wide and bool(self.texts) and WORD not in self.typical
 
     def head(
         self, is_first: bool, units_row: int | None
@@ -154,21 +149,19 @@ class Section:
         titled = [row for row in self.texts if not is_wide or row.width > 1]
         plain = list(itertools.filterfalse(attrgetter("is_comment"), titled)) or titled
         near = plain[:3] if is_first else plain[-3:]
-        units = None
-        if units_row is not None:
-            units = next((row for row in near if row.number == units_row), None)
-        elif len(near) > 1:
+        units = next((row for row in near if row.number == units_row), None)
+        if units_row is None and len(near) > 1:
             # The lowest of equals: names such as V and A are units, too.
             best = max(reversed(near), key=attrgetter("n_units"))
             is_clear = 2 * best.n_units > max(self.typical.count(VALUE), 1)
             units = best if is_clear else None
         names = [row for row in near if row is not units]
-        if units is not None and not is_first and names:
-            above = [row for row in names if row.number < units.number]
-            names = above or names
         if not names:
             return None, units
-        return names[0 if is_first else -1], units
+        if is_first:
+            return names[0], units
+        above = [row for row in names if units and row.number < units.number]
+        return (above or names)[-1], units
 
 
 def extent_of(
@@ -189,9 +182,12 @@ def extent_of(
     first = (head or [*main.values, *main.texts][0]).number
     below = next((row for row in rows if samples and row > samples[-1]), None)
     cut = None
-    if not all(one.may_be_below(main) for one in sections[place + 1 :]):
+    is_named = main.typical.startswith(WORD)  # statistics begin with words, too
+    if any(
+        one.values and (is_named or not one.is_list) for one in sections[place + 1 :]
+    ):
         cut = below
-    elif any(map(attrgetter("is_table"), sections[:place])):
+    elif any(one.is_table for one in sections[:place]):
         cut = [*main.texts, *main.values][0].number
     return Extent(
         head.number if head else None,
@@ -227,11 +223,11 @@ def _rows(rows: Rows, skip: int, units_row: int | None, by_blanks: bool) -> list
 
 def _without_mark(cells: Sequence[Any], by_blanks: bool) -> list[Any] | None:
     """The cells of a row of comment without its mark; None of another row."""
-    first = cells[0]
+    first, *others = cells
     if by_blanks and first in COMMENT_MARKS:
-        return list(cells[1:])
+        return others
     if isinstance(first, str) and COMMENT.match(first):
-        return [COMMENT.sub("", first, count=1), *cells[1:]]
+        return [COMMENT.sub("", first, count=1), *others]
     return None
 
 
@@ -259,9 +255,7 @@ def _sections(rows: Iterable[Row]) -> Iterator[Section]:
 def _section(texts: list[Row], values: list[Row]) -> Section:
     """The section, from the first row on that has the kinds of most rows."""
     typical = _typical(values)
-    n_before = 0
-    while n_before < len(values) and not values[n_before].fits(typical):
-        n_before += 1
+    n_before = [*(row.fits(typical) for row in values), True].index(True)
     is_named = bool(texts) and texts[-1].width >= len(typical.rstrip(GAP))
     if n_before and is_named and not typical.startswith(GAP):
         n_before = 0  # samples with wrong cells, which are refused
@@ -271,11 +265,10 @@ def _section(texts: list[Row], values: list[Row]) -> Section:
         texts = values[:1]  # a header with numbers in it
     elif values and not texts:
         first = values[0]
-        names = ["", *range(n_filled(first.cells) - 1)]  # of columns without, in pandas
+        names = ["", *range(first.width - 1)]  # of columns without, in pandas
         are_positions = [*map(str, first.cells)] == [*map(str, names)]
         pairs = zip(first.kinds, typical, strict=False)
         has_words = any(own == WORD and other in (VALUE, DATE) for own, other in pairs)
-        is_head = has_words or are_positions
-        n_before = int(is_head)
+        n_before = int(has_words or are_positions)
         texts = values[:n_before]
     return Section(texts, values[n_before:], typical)

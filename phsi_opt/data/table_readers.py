@@ -363,8 +363,8 @@ class Layout:
         for name in self.clocks:
             said = f"clocks: there is no state and no input {name!r}"
             require_known(name, [*self.states, *self.inputs], said, DataError)
-        none_of = [part for part in self.parts.values() if not columns_in(part)]
-        if None in self.inputs.values() or any(one is not None for one in none_of):
+        is_empty = [column in ([], ()) for column in self.parts.values()]
+        if None in self.inputs.values() or any(is_empty):
             raise DataError(
                 f"inputs={self.inputs!r}, states={self.states!r} or time={self.time!r} "
                 "has an entry without a column; inputs must be measured."
@@ -428,10 +428,10 @@ def _runs_in(
                 runs = [runs_of_clock(t, own) for own in rows.values()]
             else:
                 values = np.full(len(t), np.nan)
-                name = part[1]
+                what, name, _ = part
                 has_clock = name in layout.clocks
                 if column is not None:
-                    may_be_missing = has_clock or part[0] == "states"
+                    may_be_missing = has_clock or what == "states"
                     values = numbers_in(table, column, may_be_missing)
                 if has_clock and origins:
                     raise DataError(
@@ -441,7 +441,7 @@ def _runs_in(
                 if has_clock:
                     parts = itertools.chain(*runs)
                     values = _at_times(table, layout, name, values, t, parts)
-                columns[part[0]].append(values)
+                columns[what].append(values)
         except DataError as error:
             faults.setdefault(part, error)
     if faults:
@@ -453,17 +453,18 @@ def _runs_in(
         )
     x, u = map(np.column_stack, columns.values())
     trajectories = []
-    for i, (name, own) in enumerate(zip(rows, runs, strict=True)):
-        is_date = bool(origins) and isinstance(origins[i], dt.datetime)
-        origin: Any = origins[i] if is_date else None
+    ending = table.ending
+    begins: Iterable[Any] = origins or itertools.repeat(None)
+    for name, own, begin in zip(rows, runs, begins, strict=False):
+        origin = begin if isinstance(begin, dt.datetime) else None
         begun = begun_anew([table.row(part[0]) for part in own[1:]])
-        remark = "; ".join(filter(None, (begun, table.ending if i == 0 else "")))
+        remark = "; ".join(filter(None, (begun, ending)))
         names = names_of_parts(prefix + name, len(own))
         for called, samples in zip(names, own, strict=True):
             known = samples[np.isfinite(u[samples]).all(axis=1)]
             arrays = (t[known], x[known], u[known])
             trajectories.append(Trajectory(called, *arrays, origin, remark))
-            remark = ""
+            remark = ending = ""
     return trajectories, origins
 
 
@@ -481,18 +482,16 @@ def _at_times(
     times = numbers_in(table, clock, may_be_missing=True)
     found = np.full(len(t), np.nan)
     for rows in runs:
-        own = rows[np.isfinite(times[rows]) & np.isfinite(values[rows])]
-        late = np.flatnonzero(np.diff(times[own]) <= 0)
+        own = rows[np.isfinite(times[rows] + values[rows])]
+        late = own[1:][np.diff(times[own]) <= 0]
         if len(own) < 2 or len(late):
-            row = own[late[0] + 1] if len(late) else rows[0]
             raise DataError(
-                f"{table.place(clock, int(row))} expected at least two times of "
-                "its own for each run, which increase from line to line."
+                f"{table.place(clock, int([*late, *rows][0]))} expected at least two "
+                "times of its own for each run, which increase from line to line."
             )
         if layout.is_held(name):
-            places = np.searchsorted(times[own], t[rows], side="right") - 1
-            held = values[own][np.maximum(places, 0)]
-            found[rows] = np.where(places < 0, np.nan, held)
+            places = np.searchsorted(times[own], t[rows], side="right")
+            found[rows] = np.append(np.nan, values[own])[places]
         else:
             ends = {"left": np.nan, "right": np.nan}
             found[rows] = np.interp(t[rows], times[own], values[own], **ends)

@@ -142,23 +142,19 @@ def table_of_rows(
     widest = max(widths, key=widths.__getitem__, default=0)
     width = widths.get(widest, 0)
     reference = f"in {row_word} {widest}"
-    names: Sequence[str] | None = form.columns
-    if names is None and head:
-        if row_word == "line":
-            n_names = n_filled(head)  # a last one for comments that no line has is none
-            is_for_comments = str(head[n_names - 1]).lower() == "comment"
-            width = n_names - int(width < n_names and is_for_comments)
-            reference = "in the header"
-        else:
-            width = max(width, n_filled(head))
-        names = list(map(str, head[:width]))
-    elif names is None:
-        names = list(map(str, range(width)))
-    elif head:
+    if head and form.columns is not None:
         raise DataError(
             f"{title}, {row_word} {extent.header} contains names, {list(head)}, and "
             "columns=... gives names, too. Omit columns=..., or remove the line."
         )
+    n_names = n_filled(head)
+    is_too_wide = width < n_names
+    if head and row_word == "line":  # a last name for comments that no line has is none
+        width = n_names - (is_too_wide and str(head[n_names - 1]).lower() == "comment")
+        reference = "in the header"
+    elif is_too_wide:
+        width = n_names
+    names = form.columns or list(map(str, head[:width] or range(width)))
     if len(names) != width:
         raise DataError(
             f"{title} has {width} columns; columns={list(names)} names {len(names)}. "
@@ -174,7 +170,7 @@ def table_of_rows(
             )
     labels: list[Any] = list(names)
     for column in wanted:  # those asked for by number are called so
-        if isinstance(column, bool) or not isinstance(column, int | np.integer):
+        if type(column) is bool or not isinstance(column, int | np.integer):
             continue
         if column not in range(width):
             raise DataError(

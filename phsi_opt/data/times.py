@@ -129,6 +129,15 @@ def runs_of_clock(t: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
     return np.split(rows, np.flatnonzero((steps < 0) & is_near) + 1)
 
 
+def late_times(t: np.ndarray, runs: Sequence[np.ndarray]) -> list[list[int]]:
+    """The rows of each time that is not after the one before it, and of that one."""
+    late = []
+    for part in itertools.chain(*(runs_of_clock(t, rows) for rows in runs)):
+        pairs = np.column_stack([part[:-1], part[1:]])
+        late += pairs[np.diff(t[part]) <= 0].tolist()
+    return late
+
+
 def names_of_parts(run: str, n: int) -> list[str]:
     """The names of the n parts of a run that `runs_of_clock` divides."""
     return [run] if n == 1 else [f"{run}/{k}" for k in range(1, n + 1)]
@@ -324,15 +333,13 @@ def _check_increasing(
     runs: Sequence[np.ndarray],
 ) -> None:
     """Refuse a time of a run that is not after the one before it."""
-    parts = itertools.chain(*(runs_of_clock(t, rows) for rows in runs))
-    for rows in parts:
-        for number in np.flatnonzero(np.diff(t[rows]) <= 0)[:1]:
-            before, after = rows[number : number + 2].tolist()
-            raise DataError(
-                f"{table.place(column, after)} {told[after]} is not after "
-                f"{told[before]} of {table.row(before)}; times must increase strictly. "
-                f"{_advice(table, t[rows], before, after)}"
-            )
+    for before, after in late_times(t, runs)[:1]:
+        own = next(rows for rows in runs if after in rows)
+        raise DataError(
+            f"{table.place(column, after)} {told[after]} is not after "
+            f"{told[before]} of {table.row(before)}; times must increase strictly. "
+            f"{_advice(table, t[own], before, after)}"
+        )
 
 
 def _advice(table: Table, t: np.ndarray, before: int, after: int) -> str:

@@ -193,7 +193,7 @@ def is_stepped(runs: Sequence[np.ndarray]) -> bool:
     for run in long:
         size = np.abs(np.diff(run))
         around = np.ones(2 * SAMPLES_AROUND_JUMP + 1)
-        others = np.convolve(size, around)[SAMPLES_AROUND_JUMP:][: len(size)] - size
+        others = np.convolve(size, around, mode="same") - size
         # Rounding of the sums is no change.
         is_jump = (size > least) & (size > others * (1 + 1e-9))
         for stretch in np.split(run, np.flatnonzero(is_jump) + 1):

@@ -44,7 +44,7 @@ OF_MECHANICS = frozenset({"kg", "m", "s", RADIAN})
 # blanks, "*", "." or "·".
 FACTOR = re.compile(r"((?:[^\W\d_]|[%‰°])+)(?:(?:\^|\*\*)?(-?\d))?$")
 FACTOR_SEPARATORS = re.compile(r"(?<!\*)\*(?!\*)|[\s.·]+")
-PLAIN_POWERS = str.maketrans("²³", "23")
+PLAIN_POWERS = str.maketrans("²³", "23", "()")
 LONGEST_UNIT = 60  # letters; a longer text is no unit
 # ---- of pint
 BASE_OF_PINT = {
@@ -81,17 +81,16 @@ def rate_unit(unit: str, unit_of_time: str) -> str:
         return ""
     written = powers_as_written(unit)
     below = powers_as_written(unit_of_time)
-    if written is not None and below is not None:
-        powers = product(written, below, -1)
-        if set(powers) <= set(KNOWN):
-            basic = _in_base_units(powers)
-            for name in NAMED_RATES:
-                if basic == powers_in_base_units(name):
-                    return name
-        return _written(powers)
-    if " " in unit or "/" in unit:
-        return f"({unit})/{unit_of_time}"
-    return f"{unit}/{unit_of_time}"
+    if written is None or below is None:
+        above = f"({unit})" if " " in unit or "/" in unit else unit
+        return f"{above}/{unit_of_time}"
+    powers = product(written, below, -1)
+    if powers.keys() <= KNOWN.keys():
+        basic = _in_base_units(powers)
+        for name in NAMED_RATES:
+            if basic == powers_in_base_units(name):
+                return name
+    return _written(powers)
 
 
 def product(first: Powers, second: Powers, power: float = 1.0) -> Powers:
@@ -108,8 +107,8 @@ def powers_as_written(unit: str) -> Powers | None:
         return None
     powers: Powers = {}
     plain = unit.translate(PLAIN_POWERS)
-    for place, part in enumerate(plain.replace("(", "").replace(")", "").split("/")):
-        sign = 1 if place == 0 else -1
+    sign = 1
+    for part in plain.split("/"):
         for factor in FACTOR_SEPARATORS.split(part.strip(" .·")):
             found = FACTOR.match(factor)
             if factor == "1":
@@ -117,6 +116,7 @@ def powers_as_written(unit: str) -> Powers | None:
             if found is None:
                 return None
             powers = product(powers, {found[1]: int(found[2] or 1)}, sign)
+        sign = -1
     return powers
 
 
@@ -124,8 +124,6 @@ KNOWN: Mapping[str, Powers] = {
     **{name: {name: 1.0} for name in BASE_UNITS},
     **{name: powers_as_written(unit) or {} for name, unit in DERIVED.items()},
 }
-
-
 IN_BASE_UNITS = {**KNOWN, "degC": {"K": 1.0}}
 
 
@@ -166,10 +164,10 @@ def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:
         sought = (basic, without_angle) if unit.startswith("N m") else (basic,)
         if powers_in_base_units(unit) in sought:
             return unit
-    if set(powers) - set(KNOWN) or len(powers) == 1:
+    if powers.keys() - KNOWN.keys() or len(powers) == 1:
         return _written(powers)
     is_of_circuit = bool(named) and named[0] in ("A", "V")
-    if basic.get("kg") and set(basic) <= OF_MECHANICS and not is_of_circuit:
+    if basic.get("kg") and basic.keys() <= OF_MECHANICS and not is_of_circuit:
         return _mechanical(basic)
     if "A" in basic and abs(basic.get(RADIAN, 0)) == 2:  # of (V s/rad)^2 in a motor
         basic = product(basic, {RADIAN: basic[RADIAN]}, -1)
@@ -187,19 +185,14 @@ def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:
 
 def _mechanical(basic: Powers) -> str:
     """By newtons, but for a mass (kg) and an inertia (kg m^2)."""
-    powers = dict(basic)
-    angle = powers.get(RADIAN, 0)
-    if angle > 0:
-        del powers[RADIAN]
-    is_mass = powers["kg"] == 1 and "s" not in powers and powers.get("m", 0) >= 0
-    if is_mass and angle >= -1:
-        powers.pop(RADIAN, None)  # an inertia is kg m^2, whatever its angle is told in
+    angle = basic.get(RADIAN, 0)
+    is_mass = basic["kg"] == 1 and "s" not in basic and basic.get("m", 0) >= 0
+    is_mass = is_mass and angle >= -1  # an inertia is kg m^2, whatever its angle is in
+    powers = product(basic, {RADIAN: angle}, -1) if angle > 0 or is_mass else basic
+    if is_mass:
         return _written(powers)
-    force = powers.pop("kg")
-    powers["N"] = force
-    powers["m"] = powers.get("m", 0) - force
-    powers["s"] = powers.get("s", 0) + 2 * force
-    return _written(powers)
+    in_newtons = product({"N": 1}, KNOWN["N"], -1)
+    return _written(product(powers, in_newtons, powers["kg"]))
 
 
 def _written(powers: Powers) -> str:
@@ -214,9 +207,8 @@ def _written(powers: Powers) -> str:
 def _sorted(powers: Powers) -> list[tuple[str, float]]:
     """Force and mass first, then length, time, angle; others before them."""
     order = ("N", "kg", "m", "s", RADIAN)
-    known = [(name, powers[name]) for name in order if name in powers]
-    others = [(name, one) for name, one in powers.items() if name not in order]
-    return [*sorted(others), *known]
+    others = sorted(powers.keys() - set(order))
+    return [(name, powers[name]) for name in (*others, *order) if name in powers]
 
 
 def _factor(name: str, power: float) -> str:
@@ -315,9 +307,9 @@ def contradict(unit: str, other: str) -> bool:
     is_open = unit.lower() == other.lower() or SEVERAL_MEANINGS & {unit, other}
     if first is None or second is None or is_open:
         return False
-    ratio = product(first.powers, second.powers, -1)
+    ratio = product(first.powers, second.powers, -1).keys()
     if ratio:
-        return set(ratio) != {RADIAN} and set(ratio) <= set(BASE_UNITS)
+        return ratio != {RADIAN} and ratio <= set(BASE_UNITS)
     have_zeros = (unit in CELSIUS) != (other in CELSIUS)
     return not math.isclose(first.size, second.size) or have_zeros
 
@@ -465,10 +457,8 @@ def dates_words(first: float, last: float, origin: dt.datetime | None) -> str:
 
 def frequency_unit(units: Mapping[str, str]) -> str:
     """Hz where the time is in seconds, else cycles per unit of time."""
-    time = units.get("t", "")
-    if time == "s":
-        return "Hz"
-    return f"cycles per {time or 'unit of time'}"
+    time = units.get("t") or "unit of time"
+    return "Hz" if time == "s" else f"cycles per {time}"
 
 
 def frequency_words(frequency: float, units: Mapping[str, str]) -> str:
@@ -486,17 +476,18 @@ def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> Sc
     Rates of units that were converted are shown in these, such as deg/s; others with a
     name of their own (N, m/s) stay. ``longest`` is the last time of the record.
     """
-    unit, time = (units.get(name, "") for name in (equation, "t"))
+    time = units.get("t", "")
     seconds = SECONDS.get(time, 0.0)
     if scale_of_time(longest, time).size * seconds >= SECONDS["h"]:
         time = Unit(str(time), Scale("h", SECONDS["h"] / seconds))
-    return scale_of(unit_of_rate(unit, time))
+    return scale_of(unit_of_rate(units.get(equation, ""), time))
 
 
 def unit_of_rate(unit: str, of_time: str) -> str:
     """`rate_unit`, told per hour where times are, and in the unit of a state."""
     rate = rate_unit(unit, of_time)
-    state, time = scale_of(unit), scale_of(of_time)
+    state = scale_of(unit)
+    time = scale_of(of_time)
     if time.size < 1.0:  # speeds in mm/s, where times are in ms
         time = Scale(str(of_time))
     size = state.size / time.size

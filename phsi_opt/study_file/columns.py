@@ -4,8 +4,8 @@ A column is meant to be numeric where most of its cells are numbers: then a cell
 none is a mistake in the file, and it is reported with its line.
 """
 
-from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from phsi_opt.data.tables import MISSING_CELLS, Table, plain_number, rows_of_run
 from phsi_opt.data.times import (
     clock_of,
     format_of_dates,
+    late_times,
     rounded_step,
     runs_of_clock,
 )
@@ -167,8 +168,13 @@ class Column(Header):
         """Whether it is constant between jumps, in its runs; gaps tell nothing."""
         if self.values is None or self.misses_samples or self.wrong:
             return False
+        return is_stepped(self.known_in(run))
+
+    def known_in(self, run: "Column | None") -> list[np.ndarray]:
+        """Its values in each run, where they are known."""
+        assert self.values is not None
         runs = [self.values[rows] for rows in self.rows_of(run)]
-        return is_stepped([one[np.isfinite(one)] for one in runs])
+        return [one[np.isfinite(one)] for one in runs]
 
     @property
     def misses_samples(self) -> bool:
@@ -177,19 +183,16 @@ class Column(Header):
 
     def clock_runs(self, run: "Column | None") -> list[np.ndarray]:
         """The rows of each run, divided where its values go back to the first one."""
-        assert self.values is not None
         runs = self.rows_of(run)
+        if self.values is None:
+            return runs
         return [part for rows in runs for part in runs_of_clock(self.values, rows)]
 
     def increases(self, run: "Column | None") -> bool:
         """Whether its values, where they are known, increase in each run."""
-        if self.values is None:
-            return False
-        for rows in self.rows_of(run):
-            known = self.values[rows][np.isfinite(self.values[rows])]
-            if np.any(np.diff(known) <= 0):
-                return False
-        return True
+        return self.values is not None and all(
+            np.all(np.diff(known) > 0) for known in self.known_in(run)
+        )
 
     @property
     def rounded_step(self) -> str:
@@ -203,9 +206,8 @@ class Column(Header):
             return self.wrong
         if self.n_missing:
             return f"{self.first_missing} has no time"
-        pairs = np.vstack([np.c_[rows[:-1], rows[1:]] for rows in self.clock_runs(run)])
-        late = pairs[self.values[pairs[:, 1]] <= self.values[pairs[:, 0]]]
-        if not len(late):
+        late = late_times(self.values, self.rows_of(run))
+        if not late:
             return ""
         before, after = late[0]
         said = (
@@ -222,7 +224,6 @@ class Column(Header):
 def columns_of(table: Table) -> list[Column]:
     """All columns of a table, in its order."""
     headers = list(map(str, table.frame.columns))
-    n_of_name = Counter(headers)
     lines = list(map(table.row, range(len(table.frame))))
     columns = []
     for number, header in enumerate(headers):
@@ -230,12 +231,12 @@ def columns_of(table: Table) -> list[Column]:
             lambda cell: "" if cell is None else str(cell)
         )
         cells = cells.str.strip()
-        cells = cells.map(lambda cell: plain_number(cell, table.decimal))
+        cells = cells.map(partial(plain_number, decimal=table.decimal))
         is_missing = cells.str.lower().isin(MISSING_CELLS).to_numpy()
         words = vars(Header.of(header))
         words["unit"] = table.units.get(header) or words["unit"]
         column = Column(**words, cells=cells, lines=lines, is_missing=is_missing)
-        column.said = _look_at(column, n_of_name[header])
+        column.said = _look_at(column, headers.count(header))
         columns.append(column)
     return columns
 

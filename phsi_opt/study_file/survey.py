@@ -7,7 +7,7 @@ so that what is seen here can be read later. Also: what stands empty in a study 
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
@@ -93,15 +93,17 @@ class TableSurvey:
     @property
     def read(self) -> list[ReadKey]:
         """How the file was read."""
+        return list(self._read_keys())
+
+    def _read_keys(self) -> Iterator[ReadKey]:
         table = self.table
         extent = table.extent
-        keys = []
         if len(table.sheets) > 1:
             part = "group" if extent is None else "sheet"
             said = f"others: {some_of(table.sheets[1:])}"
-            keys.append(ReadKey(part, table.sheets[0], said, is_set=True))
+            yield ReadKey(part, table.sheets[0], said, is_set=True)
         if extent is None:
-            return keys
+            return
         word = table.row_word
         header = extent.header
         units = extent.units
@@ -109,19 +111,18 @@ class TableSurvey:
         said += f", samples in {word}s {extent.rows[0]} to {extent.rows[-1]}"
         if extent.below:
             said += f"; not read: {word}s from {extent.below} on"
-        keys.append(ReadKey("skip", extent.above, said))
+        yield ReadKey("skip", extent.above, said)
         if header is None:
             names = list(map(str, table.frame.columns))
-            keys.append(ReadKey("columns", names, "no names in the file"))
+            yield ReadKey("columns", names, "no names in the file")
         said = f"units in {word} {units}" if units else f"no {word} of units"
-        keys.append(ReadKey("units_row", units or 0, said))
+        yield ReadKey("units_row", units or 0, said)
         if table.separator:
-            keys.append(ReadKey("separator", table.separator, "between cells"))
+            yield ReadKey("separator", table.separator, "between cells")
         if table.decimal:
             other = "comma" if table.decimal == "." else "point"
             said = f"before decimals; a {other} marks thousands"
-            keys.append(ReadKey("decimal", table.decimal, said))
-        return keys
+            yield ReadKey("decimal", table.decimal, said)
 
     @property
     def n_lines(self) -> int:
@@ -133,10 +134,7 @@ class TableSurvey:
         """The names of the runs that a column tells, or a clock that begins anew."""
         if self.run is not None:
             return self.run.cells.unique().tolist()
-        time = self.time
-        n = 1
-        if time is not None and time.values is not None:
-            n = len(time.clock_runs(None))
+        n = 1 if self.time is None else len(self.time.clock_runs(None))
         return names_of_parts(self.table.run, n)
 
     @property
@@ -210,11 +208,10 @@ def survey(path: DataFile, part: str | None = None) -> TableSurvey:
         )
     run = next(filter(_is_run, columns), None) or _run_by_times(columns)
     others = [one for one in columns if one is not run]
-    steps = [one for one in others if one.is_step and one.only_number]
-    of_step = steps[0] if steps else None
-    values = [one.only_number for one in steps]
-    values += [one.value for one in table.further if Header.of(one.name).is_step]
-    step = next((value for value in values if value and value > 0), None)
+    of_step = next((one for one in others if one.is_step and one.only_number), None)
+    steps = [] if of_step is None else [of_step.only_number]
+    steps += [one.value for one in table.further if Header.of(one.name).is_step]
+    step = next((value for value in steps if value and value > 0), None)
     time = _time(others, run, step)
     if time is not None:
         _put_together(time, others)
@@ -245,9 +242,8 @@ def check_alike(first: Sequence[Column], other: Sequence[Column], file: str) -> 
     Raises:
         DataError: it has other columns than the first.
     """
-    known, found = (sorted(one.column for one in columns) for columns in (first, other))
-    if known != found:
-        differ = sorted(set(known) ^ set(found))
+    differ = sorted({one.column for one in first} ^ {one.column for one in other})
+    if differ:
         raise DataError(
             f"{file} has other columns than the first file: {', '.join(differ)} are "
             "only in one of them. The files of a study are runs of the same machine "
@@ -271,7 +267,7 @@ def _run_by_times(columns: list[Column]) -> Column | None:
     """The column that changes just where the times begin anew, whatever its name."""
     times = [one.values for one in columns if one.is_time and one.values is not None]
     for values in times[:1]:
-        numbers = np.cumsum([0, *(np.diff(values) < 0)])  # of the runs
+        numbers = np.cumsum(np.diff(values, prepend=-np.inf) < 0)  # of the runs
         for one in columns if numbers[-1] else ():
             if np.array_equal(pd.factorize(one.cells)[0], numbers):
                 one.said = f"{numbers[-1] + 1} runs"
@@ -287,19 +283,18 @@ def _time(
     Without one: what is called so and is wrong, or what was rounded until times are
     equal, which is wrong, too.
     """
-    numbers = [one for one in others if one.values is not None]
-    faulty = list(filter(attrgetter("is_time"), numbers))
-    dates = list(filter(attrgetter("is_dates"), others))
-    for one in (*filter(attrgetter("is_time"), others), *dates):
-        if one.is_dates or (one.values is not None and not one.wrong_time(run)):
+    usable = [one for one in others if one.values is not None or one.is_dates]
+    named = [one for one in usable if one.is_time]
+    for one in (*named, *usable):
+        if one.is_dates or (one.is_time and not one.wrong_time(run)):
             return one
-    if not faulty and step is None:
-        free = list(filter(attrgetter("may_be_time"), numbers))
+    if not named and step is None:
+        free = list(filter(attrgetter("may_be_time"), usable))
         for one in free:
             if one.increases(run) and not one.n_missing and not one.wrong:
                 return one
-        faulty = list(filter(attrgetter("rounded_step"), free))
-    for one in faulty:
+        named = list(filter(attrgetter("rounded_step"), free))
+    for one in named:
         one.wrong = one.wrong_time(run)
         return one
     return None
