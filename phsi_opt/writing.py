@@ -13,7 +13,7 @@ from secrets import token_hex
 from typing import BinaryIO
 
 from phsi_opt.errors import DataError, shown
-from phsi_opt.reading import why_not_read
+from phsi_opt.reading import file_bytes, why_not_read
 
 try:
     import fcntl
@@ -37,6 +37,27 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
     except (OSError, ValueError) as error:
         raise _unwritable(path, error) from None
     return place
+
+
+def write_new(path: Path, content: bytes, otherwise: str) -> None:
+    """Write a file that is not there yet, or has this content already.
+
+    Args:
+        path: Of the file.
+        content: All of it.
+        otherwise: What to do where another file is there.
+
+    Raises:
+        DataError: Another file is there, or the file cannot be written.
+    """
+    known = None
+    if os.path.exists(path):
+        with suppress(OSError):  # it is no regular file
+            known = file_bytes(path)
+        if known != content:
+            said = "exists already with different content, and was not overwritten"
+            raise DataError(f"{path} {said}; {otherwise}")
+    write_whole(path, content)
 
 
 def written_path(path: str | Path) -> Path:

@@ -31,7 +31,7 @@ from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.survey import check_alike, first_text, survey, unfilled
 from phsi_opt.study_file.toml_text import add_effects
 from phsi_opt.transcription.grid import AlignedData
-from phsi_opt.writing import make_folder, write_whole
+from phsi_opt.writing import make_folder, write_new, write_whole
 
 DEMO_FILES = ("friction_spring.csv", "study.toml")
 PICTURE_MARK = b"<!-- measurements drawn by phsi-opt:"
@@ -259,12 +259,6 @@ def written_demonstration(folder: Path) -> Path:
     shipped = files("phsi_opt.study_file") / "examples" / "spring"
     make_folder(folder)
     for name in DEMO_FILES:
-        text = (shipped / name).read_bytes()
-        place = folder / name
-        if os.path.exists(place) and file_bytes(place) != text:
-            raise DataError(
-                f"{place} exists already with changes, and was not overwritten. "
-                "Give another folder: phsi-opt demo FOLDER."
-            )
-        write_whole(place, text)
+        otherwise = "give another folder: phsi-opt demo FOLDER."
+        write_new(folder / name, (shipped / name).read_bytes(), otherwise)
     return folder / "study.toml"

@@ -459,9 +459,7 @@ def unknown_names(draft: ModelDraft) -> list[str]:
     slots += [(slot, one) for slot in "RF" for one in model.get(slot, {}).values()]
     for slot, formulas in slots:
         for formula in listed(formulas):
-            if not isinstance(formula, str) or not formula.strip():
-                continue
             with suppress(ModelError):  # the check says what is wrong with it
-                names = names_of(formula) - variables.of_slot(slot) - known
+                names = names_of(str(formula)) - variables.of_slot(slot) - known
                 found |= dict.fromkeys(sorted(names))
     return list(found)

@@ -8,7 +8,7 @@ the only records of the package that change.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -156,8 +156,7 @@ class ColumnDraft:
 
     def content(self) -> Content:
         """What a study file says of it."""
-        told = {key: one for key, one in self.table.items() if one != ""}
-        return {"column": self.column, **_without(told, "name")}
+        return {"column": self.column, **_without(without(self.table, ""), "name")}
 
 
 @dataclass
@@ -224,17 +223,24 @@ class DataDraft:
         for column in draft.columns:
             column.role = NOT_USED
         draft.settings = _without(data, *KEYS_OF_COLUMNS, "hold")
-        hold = {"hold": data["hold"]} if "hold" in data else {}  # of every input
         draft.time = {}
-        for role, name, table in _told_columns(data):
+        told = [(TIME, "", data["time"])]
+        if "trajectory" in data:
+            told.append((RUN, "", {"column": data["trajectory"]}))
+        for role, section in CHANNELS.items():
+            of_all = {"hold": data["hold"]} if role == INPUT and "hold" in data else {}
+            channels = data.get(section, {}).items()
+            told += [(role, name, {**of_all, **table}) for name, table in channels]
+        for role, name, table in told:
             if "column" in table:
-                column = table["column"]
-                if column not in by_column:
-                    by_column[column] = ColumnDraft(column)
-                    draft.columns.append(by_column[column])
-                by_column[column].role = role
-                told = {**(hold if role == INPUT else {}), **_without(table, "column")}
-                by_column[column].table = {"name": name, **told}
+                source = table["column"]
+                if isinstance(source, list):  # date and time of day
+                    source = tuple(source)
+                if source not in by_column:
+                    by_column[source] = ColumnDraft(source)
+                    draft.columns.append(by_column[source])
+                by_column[source].role = role
+                by_column[source].table = {"name": name, **_without(table, "column")}
             elif role == TIME:
                 draft.time = dict(table)
             else:
@@ -254,9 +260,9 @@ class DataDraft:
     def measure(self, role: str, name: str, column: str | None) -> None:
         """Let a column be the state or input of a name; None: no column is."""
         for known in self.columns:
-            if known.role == role and known.name == name:
+            if (known.role, known.name) == (role, name):
                 known.role = NOT_USED
-            if column is not None and known.title == column:
+            if known.title == column:
                 known.becomes(role, name)
 
     def content(self, states: list[str]) -> Content:
@@ -287,18 +293,6 @@ class DataDraft:
         for part in self.parts.values():
             runs = listed(part.table.get("runs", ()))
             part.table["runs"] = [run for run in runs if run in found.runs]
-
-
-def _told_columns(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Content]]:
-    if "trajectory" in content:
-        yield RUN, "", {"column": content["trajectory"]}
-    time = dict(content["time"])
-    if isinstance(time.get("column"), list):  # date and time of day
-        time["column"] = tuple(time["column"])
-    yield TIME, "", time
-    for role, section in CHANNELS.items():
-        for name, table in content.get(section, {}).items():
-            yield role, name, table
 
 
 def sheet_of(settings: Mapping[str, Any]) -> str | None:
@@ -487,13 +481,6 @@ class StudyDraft:
     kept: Content = field(default_factory=dict)  # sections that the page does not show
 
     @classmethod
-    def of(cls, content: Mapping[str, Any], places: dict[str, Path]) -> "StudyDraft":
-        """The drafts of a study file that has been read without complaint."""
-        kept = {name: content[name] for name in KEPT if name in content}
-        model = ModelDraft.of(content["model"], content.get("parameters", {}))
-        return cls(DataDraft.of(content, places), model, kept)
-
-    @classmethod
     def read(cls, path: Path, places: dict[str, Path] | None = None) -> "StudyDraft":
         """The drafts of a study file; its tables lie beside it unless told otherwise.
 
@@ -504,11 +491,13 @@ class StudyDraft:
             folder = path.parent.absolute()
             places = {file: folder / file for file in files_of(path)}
         measured = StudyFile.read(path, places).measurements()
-        draft = cls.of(tables_of(path), places)
-        assert draft.data is not None
-        draft.data.n_samples = measured.n_samples
-        draft.data.runs = [run.name for run in measured.trajectories]
-        return draft
+        content = tables_of(path)
+        kept = {name: content[name] for name in KEPT if name in content}
+        model = ModelDraft.of(content["model"], content.get("parameters", {}))
+        data = DataDraft.of(content, places)
+        data.n_samples = measured.n_samples
+        data.runs = [run.name for run in measured.trajectories]
+        return cls(data, model, kept)
 
     @property
     def places(self) -> dict[str, Path]:
@@ -527,8 +516,7 @@ class StudyDraft:
 
     def content(self) -> Content:
         """The tables of the study file."""
-        kept = {name: one for name, one in self.kept.items() if one}
-        content: Content = {**kept, "model": self.model.content()}
+        content: Content = {**self.kept, "model": self.model.content()}
         if self.data is not None:
             content["data"] = self.data.content(self.model.names("states"))
             for name, part in self.data.parts.items():

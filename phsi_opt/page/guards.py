@@ -15,7 +15,6 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any
-from urllib.parse import urlsplit
 
 from starlette import status
 from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
@@ -114,12 +113,8 @@ class OwnRequests:
 
 def is_own_origin(origin: str, host: str) -> bool:
     """Whether a page of this origin was loaded from this host and port."""
-    try:
-        parts = urlsplit(origin.lower())
-    except ValueError:
-        return False
-    is_of_web = parts.scheme in ("http", "https") and bool(parts.netloc)
-    return is_of_web and parts.netloc == host.lower()
+    scheme, _, own = origin.lower().partition("://")
+    return scheme in ("http", "https") and own == host.lower() != ""
 
 
 @dataclass(frozen=True)

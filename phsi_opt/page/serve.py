@@ -161,8 +161,8 @@ class Sessions:
         for key, session in list(self._by_key.items()):
             if time.monotonic() - session.seen > 24 * 3600:
                 self._by_key.pop(key).close()
-            elif session.idle_seconds > 600:
-                session.rest()
+            else:
+                session.rest(after=600.0)
 
     def close(self) -> None:
         """End everything."""
@@ -176,14 +176,12 @@ class Sessions:
         # that holds somebody's work stays.
         if len(self._by_key) < MOST_SESSIONS:
             return
-        empty = [key for key, one in self._by_key.items() if one.is_empty]
+        known = self._by_key.items()
+        empty = [((s.is_shown, s.seen), key) for key, s in known if s.is_empty]
         if not empty:
             raise DataError(
                 f"this page allows {MOST_SESSIONS} studies at a time. Try again when "
                 "another user has ended a study (New, above)."
             )
-
-        def age(key: str) -> tuple[bool, float]:
-            return self._by_key[key].is_shown, self._by_key[key].seen
-
-        self._by_key.pop(min(empty, key=age)).close()
+        _, first = min(empty)
+        self._by_key.pop(first).close()

@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import filterfalse
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -204,39 +205,36 @@ class Session:
         ``upload_error`` says why one was refused, and the files before it stay.
         """
         name = re.split(r"[/\\]", name)[-1]  # without folders that a browser may tell
-        with self._taking:  # a browser sends several at once
-            self.upload_error = self._refusal(name, content)
-            is_study = suffix_of(name) == STUDY_KIND
-            if is_study and not self.upload_error:
+        with self._looking_again():
+            if refusal := self._refusal(name, content):
+                raise DataError(refusal)
+            if suffix_of(name) == STUDY_KIND:
                 write_whole(self._state / OPENED_FILE, content)
                 self._waiting = name
-            elif not self.upload_error:
+            else:
                 self._take(name, content)
-            if self._waiting and not self.upload_error:
+            if self._waiting:
                 self._open_waiting()
-            if not self.upload_error:
-                self._ready_worker()
-            self.shape += 1  # at last: a page may look at any time
-            return not self.upload_error
+            self._ready_worker()
+        return not self.upload_error
 
     def _open_waiting(self) -> None:
         """Open the study file that was uploaded, once all of its tables are."""
         path = self._state / OPENED_FILE
         known = self.draft.places
-        self.message = ""
+        name, self._waiting = self._waiting, ""
         try:
             named = self._call({}, files_of, path)
             lacking = [one for one in named if PurePath(one).name not in known]
             if lacking:
-                said = f"{self._waiting} reads {some_of(lacking)}"
-                self.message = f"{said}: upload this as well."
+                self.message = f"{name} reads {some_of(lacking)}: upload this as well."
+                self._waiting = name
                 return
             self._open(path, {file: known[PurePath(file).name] for file in named})
         except PhsiOptError as error:
             wrong = getattr(error, "complaints", (error,))[:3]
-            self.upload_error = f"{self._waiting}: {'; '.join(map(str, wrong))}"
-        self._waiting = ""
-        self.check()
+            said = f"{name}: {'; '.join(map(str, wrong))}"
+            raise DataError(said) from None
 
     def _refusal(self, name: str, content: bytes) -> str:
         """Why a file is not even looked at; "" where it is."""
@@ -254,25 +252,19 @@ class Session:
         place.write_bytes(content)
         try:
             self._take_file(name, place)
-        except DataError as error:
+        except DataError:
             place.unlink()
-            self.upload_error = str(error)
-            return
+            raise
         # Uploads that neither the draft nor a fit names any more are removed.
-        used = set(self.draft.places.values())
-        for moment in self._moments:
-            used.update(moment.draft.places.values())
-        fitted = [one.drafted for one in self.models]
-        for one in filter(None, (*fitted, self._fitting)):
-            used.update(one.places.values())
-        for path in self._uploads.iterdir():
-            if path not in used:
-                path.unlink()
+        naming: list[Any] = [self.draft, *(one.draft for one in self._moments)]
+        naming += [self._fitting or self.draft, *(one.drafted for one in self.models)]
+        used = [path for one in naming for path in one.places.values()]
+        for path in filterfalse(used.__contains__, self._uploads.iterdir()):
+            path.unlink()
 
     def _take_file(self, name: str, place: Path) -> None:
         known = self.draft.data
         data = self._look_at({name: place}, known)
-        self.message = ""
         known_columns = [] if known is None else [one.column for one in known.columns]
         is_alike = known_columns == [one.column for one in data.columns]
         is_study = any(at.parent != self._uploads for at in self.draft.places.values())
@@ -283,7 +275,6 @@ class Session:
             why = "is a separate table" if is_alike else "has other columns"
             if known is not None:
                 self.message = f"{name} {why}: it replaces {', '.join(known.places)}."
-        self.check()
 
     def _look_at(self, places: dict[str, Path], known: DataDraft | None) -> DataDraft:
         """The columns of files, of the sheet or group that is chosen."""
@@ -309,14 +300,14 @@ class Session:
     @contextmanager
     def _looking_again(self) -> Iterator[DataDraft]:
         """The data, to be read in another way; why that cannot be is told."""
-        with self._taking:
+        with self._taking:  # a browser sends several at once
             self.upload_error = self.message = ""
             try:
                 yield self.draft.data or DataDraft({})
             except DataError as error:  # a file has changed, or is gone
                 self.upload_error = str(error)
             self.check()
-            self.shape += 1
+            self.shape += 1  # at last: a page may look at any time
 
     def choose(self, base: BaseModel) -> None:
         """Begin with an entry of the gallery; columns become its states."""
@@ -551,17 +542,11 @@ class Session:
         if ended is not None:
             ended.end()
 
-    @property
-    def idle_seconds(self) -> float:
-        """For how long a worker has had nothing to do; 0 where there is none."""
-        if (self._worker or self._reader) is None or self.job is not None:
-            return 0.0
-        return time.monotonic() - self._idle_since
-
-    def rest(self) -> None:
-        """End processes that have nothing to do; the next order starts others."""
-        if self.job is None:
-            self._end_worker()
+    def rest(self, after: float = 0.0) -> None:
+        """End processes without work for so many seconds; an order starts others."""
+        if self.job is not None or time.monotonic() - self._idle_since < after:
+            return
+        self._end_worker()
         if self._reader is not None and not self._calling.locked():
             self._reader.end()
 

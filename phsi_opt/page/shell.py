@@ -58,8 +58,8 @@ FAILED = (
     "use `phsi-opt` on the command line, and report the bug with this text."
 )
 PAGE_PARTS = (DATA_PART, MODEL_PART, STUDY_PART)
-UNDO_AND_REDO = {-1: "Undo", 1: "Redo"}
-KEYS_OF_STEPS = {-1: "Control+Z", 1: "Control+Y"}
+# Their buttons, and the keys that press them.
+UNDO_AND_REDO = {-1: ("Undo", "Control+Z"), 1: ("Redo", "Control+Y")}
 HEADER_BUTTON = "flat color=primary"
 
 
@@ -76,8 +76,6 @@ class Shell:
         self._shape = session.shape
         self._version = session.version
         self._drawn = self._to_draw()
-        self._seen = session.seen_data
-        self._laws = session.model.laws if session.model else ()
         self._job = session.job
 
     def build(self) -> None:
@@ -98,10 +96,10 @@ class Shell:
                     ui.tab(name)
             with ui.row().classes("gap-1 no-wrap items-center"):
                 self._steps = {}
-                for by, name in UNDO_AND_REDO.items():
+                for by, (name, keys) in UNDO_AND_REDO.items():
                     step = ui.button(name, on_click=partial(self._step, by))
                     self._steps[by] = step.props(HEADER_BUTTON)
-                    step.props["aria-keyshortcuts"] = KEYS_OF_STEPS[by]
+                    step.props["aria-keyshortcuts"] = keys
                 ui.button("New", on_click=self._ask_to_begin_again).props(HEADER_BUTTON)
         session = self._session
         # Whether there is more to see than fields to fill in.
@@ -225,22 +223,23 @@ class Shell:
 
     def _show_changes(self) -> None:
         self._show_status()
-        session = self._session
-        if session.seen_data is not self._seen:
-            self._seen = session.seen_data
-            _draw(self._data.seen.refresh)
         _draw(self._data.wrong.refresh, self._model.wrong.refresh)
-        laws = session.model.laws if session.model else ()
-        if laws is not self._laws:
-            self._laws = laws
-            _draw(self._study.follows.refresh)
-        if (now := self._to_draw()) != self._drawn:
-            self._drawn = now
-            _draw(self._study.build.refresh)
+        study = self._study.build.refresh
+        views = (self._data.seen.refresh, self._study.follows.refresh, study)
+        known, self._drawn = self._drawn, self._to_draw()
+        for view, before, now in zip(views, known, self._drawn, strict=True):
+            if before != now:
+                _draw(view)
+        if known[-1] != self._drawn[-1]:
             self._client.run_javascript(FOCUS_VERDICT)
 
     def _to_draw(self) -> tuple[object, ...]:
-        """What the third part is drawn from."""
+        """What the views that are drawn anew when it changes are drawn from."""
+        session = self._session
+        laws = session.model.laws if session.model else ()
+        return session.seen_data, laws, self._of_study()
+
+    def _of_study(self) -> tuple[object, ...]:
         session = self._session
         if session.content is None:
             return session.job, session.complaints, session.failure

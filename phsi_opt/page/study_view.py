@@ -144,13 +144,13 @@ class StudyView:
                 if len(names) > 1:
                     channels = dict(enumerate(names))
                     now = self._session.look.channel
-                    choice("channel", channels, now, self._set_channel)
+                    choice("channel", channels, now, lambda k: self._look_at(channel=k))
                 unit = content.time.unit
                 t = self._session.look.t
                 self._field = ui.number(
                     f"show the time ({unit})" if unit else "show the time",
                     value=None if t is None else float(f"{t:.6g}"),
-                    on_change=lambda e: self._look_at(e.value),
+                    on_change=lambda e: self._look_at(t=e.value),
                 )
                 self._field.props("dense outlined debounce=400").style("width: 12em")
                 self._choose_compared()
@@ -201,16 +201,12 @@ class StudyView:
             plotted(follows_chart(found), told, 260)
 
     def _set_run(self, run: int) -> None:
-        self._session.look.run = run
+        self._look_at(run=run)
         self._field.set_value(None)
-        self._look_at(None)
 
-    def _set_channel(self, channel: int) -> None:
-        self._session.look.channel = channel
-        self.overlay.refresh()
-
-    def _look_at(self, t: float | None) -> None:
-        self._session.look.t = t
+    def _look_at(self, **place: Any) -> None:
+        """Show another run, channel or time."""
+        self._session.look = replace(self._session.look, **place)
         self.overlay.refresh()
         self.force.refresh()
 

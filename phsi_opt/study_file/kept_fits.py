@@ -10,7 +10,7 @@ deleting it is always safe. Free runs and missing forces are computed again.
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -72,22 +72,19 @@ class KeptFits:
 
     def with_effects(self, added: Sequence[object] = ()) -> Fit | None:
         """The fit of the base model with effects; None: it is to be fitted."""
-        try:
+        with suppress(PhsiOptError, *DAMAGE):
             return _fit_from(self._entries[_name(added, self.hold)])
-        except (PhsiOptError, *DAMAGE):
-            return None
+        return None
 
     def diagnosis(
         self, study: StudyRecord, considered: EffectChoice
     ) -> Diagnosis | None:
         """The diagnosis of the last step of a study; None: it is to be made."""
-        try:
-            question = _question(
-                study, study.last.added, (considered, study.train.hold)
-            )
+        asked = (considered, study.train.hold)
+        with suppress(PhsiOptError, *DAMAGE):
+            question = _question(study, study.last.added, asked)
             return _diagnosis_from(self._entries[question], study)
-        except (PhsiOptError, *DAMAGE):
-            return None
+        return None
 
     def keep(self, study: Study) -> None:
         """Keep fits and diagnoses of the steps of a study, and what it would add next.
@@ -95,23 +92,22 @@ class KeptFits:
         Where the file cannot be written they are made again the next time.
         """
         record = study.record
-        fits: dict[str, Fit] = {}
+        found: dict[str, Callable[[], Content]] = {}
         for step in study.steps:
-            fits.setdefault(_name(step.added, step.fit.hold), step.fit)
-        asked: dict[str, Diagnosis] = {}
-        for number, found in record.diagnoses.items():
+            name = _name(step.added, step.fit.hold)
+            found.setdefault(name, partial(_fit_content, step.fit))
+        for number, one in record.diagnoses.items():
             added = record.steps[number].added
-            if found.proposed_fit is not None:
-                name = _name((*added, *found.proposed), found.proposed_fit.hold)
-                fits.setdefault(name, found.proposed_fit)
-            asked[_question(record, added, study.considered[number])] = found
-        if fits.keys() | asked.keys() <= self._entries.keys():
+            if one.proposed_fit is not None:
+                name = _name((*added, *one.proposed), one.proposed_fit.hold)
+                found.setdefault(name, partial(_fit_content, one.proposed_fit))
+            question = _question(record, added, study.considered[number])
+            found[question] = partial(_diagnosis_content, one)
+        if found.keys() <= self._entries.keys():
             return
         self._entries.update(self._read())  # another command may have kept some
-        for name in fits.keys() - self._entries.keys():
-            self._entries[name] = _fit_content(fits[name]) or {}
-        for name in asked.keys() - self._entries.keys():
-            self._entries[name] = _diagnosis_content(asked[name])
+        for name in found.keys() - self._entries.keys():
+            self._entries[name] = found[name]()
         text = json.dumps({"key": self.key, "found": self._entries})
         with suppress(DataError):
             write_whole(self.path, f"{_digest(text)}\n{text}\n")
@@ -121,12 +117,12 @@ class KeptFits:
         return self._read()
 
     def _read(self) -> dict[str, Content]:
-        try:
+        with suppress(OSError, *DAMAGE):
             digest, text, _ = file_text(self.path).split("\n")
-            content = json.loads(text) if digest == _digest(text) else {}
-            return dict(content["found"]) if content["key"] == self.key else {}
-        except (OSError, *DAMAGE):
-            return {}
+            content = json.loads(text)
+            if (digest, content["key"]) == (_digest(text), self.key):
+                return dict(content["found"])
+        return {}
 
 
 def _name(added: Sequence[object], hold: Hold) -> str:
@@ -147,9 +143,7 @@ def _question(
 PLAIN = ("verdict", "reason", "findings", "proposed")
 
 
-def _fit_content(fit: Fit | None) -> Content | None:
-    if fit is None:
-        return None
+def _fit_content(fit: Fit) -> Content:
     return {"fit": fit.content(), "states": encoded(fit.states)}
 
 
@@ -166,7 +160,7 @@ def _diagnosis_content(found: Diagnosis) -> Content:
     aligned = found.record.aligned
     content: Content = {"hold": encoded(aligned.data.hold), "notes": aligned.notes}
     fits = (found.fit, found.proposed_fit, first)
-    content["fits"] = list(map(_fit_content, fits))
+    content["fits"] = [one and _fit_content(one) for one in fits]
     plain = partial(replace, states=None, fit=None, trained=None, comparison=None)
     content["ranking"] = encoded(list(map(plain, found.ranking)))
     for name in PLAIN:

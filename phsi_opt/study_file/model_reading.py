@@ -7,6 +7,7 @@ efforts, or parameters of the section [parameters].
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -99,13 +100,13 @@ class ModelReader:
                 )
             return None
         kind = GUESSES[given["kind"]]
-        for one in fields(kind):
-            if one.default is MISSING and one.name not in given:
+        settings = {one.name: given.get(one.name, one.default) for one in fields(kind)}
+        for name, value in settings.items():
+            if value is MISSING:
                 said = f"a guess of kind {given['kind']!r} needs this key."
-                self.faults.need(said, None, *place, one.name)
+                self.faults.need(said, None, *place, name)
                 return None
-        names = [one.name for one in fields(kind) if one.name in given]
-        return kind(**{name: given[name] for name in names})
+        return kind(**settings)
 
     def model(self) -> Model | None:
         """The base model; None, and what is wrong noted, where it cannot be made."""
@@ -211,16 +212,13 @@ class ModelReader:
         coefficient = self._parameter(given, *place, "coefficient") or Parameter()
         inner = {}
         for name, own in content.get("inner", {}).items():
-            parameter = self._parameter(own, *place, "inner", name)
-            if parameter is not None:
-                inner[name] = parameter
+            inner[name] = self._parameter(own, *place, "inner", name) or Parameter()
         return Dictionary((Term(names, coefficient, inner, content.get("name", "")),))
 
     def effects(self) -> tuple[Effect, ...]:
         """The effects of the user's own."""
-        contents = enumerate(self.file.get("effects", ()))
-        made = [self._effect(content, number) for number, content in contents]
-        return tuple(effect for effect in made if effect is not None)
+        made = map(self._effect, self.file.get("effects", ()), count())
+        return tuple(filter(None, made))
 
     def _effect(self, content: Content, number: int) -> Effect | None:
         place = ("effects", number)

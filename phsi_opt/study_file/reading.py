@@ -22,6 +22,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.unit_checks import UnitCheck
 from phsi_opt.presentation.units import in_si
+from phsi_opt.reading import file_text
 from phsi_opt.study_file.keys import (
     Complaints,
     Place,
@@ -40,7 +41,7 @@ from phsi_opt.study_file.sections import (
     reader_of,
     table_at,
 )
-from phsi_opt.study_file.toml_text import LARGEST_STUDY, lines_of, text_and_tables
+from phsi_opt.study_file.toml_text import LARGEST_STUDY, lines_of, tables_of
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 NEEDED = {
@@ -65,13 +66,14 @@ def read_sections(
     Raises:
         StudyFileError: the file has mistakes; the error lists all of them.
     """
-    text, tables = text_and_tables(path)
-    faults = Complaints(tables)
+    faults = Complaints(tables_of(path))
     sections = measured = None
     with suppress(TooManyComplaintsError):
         sections, measured = _sections(faults, path.parent, places or {})
     if sections is None or measured is None or faults.listed:
-        raise StudyFileError(path, _in_order(faults, lines_of(text)), measured)
+        raise StudyFileError(
+            path, _in_order(faults, lines_of(file_text(path))), measured
+        )
     return sections, measured
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from phsi_opt.initialization.relative_guesses import check_rates
 from phsi_opt.model.catalogue import catalogue, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.reading import file_text
 from phsi_opt.study_file.reading import read_sections
 from phsi_opt.study_file.sections import (
     Channel,
@@ -37,7 +36,7 @@ from phsi_opt.study_file.study_text import study_script, study_text
 from phsi_opt.sweeps.sweep import Progress
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
-from phsi_opt.writing import write_whole
+from phsi_opt.writing import write_new, write_whole
 
 if TYPE_CHECKING:
     from phsi_opt.study import Study
@@ -359,17 +358,8 @@ def write_table(data: Measurements, path: Path) -> None:
     unmeasured = [name for name in data.states if name not in data.measured]
     frame = data.to_dataframe().drop(columns=unmeasured)
     text = frame.to_csv(index=False, lineterminator="\n")
-    if os.path.exists(path):
-        try:
-            is_same = file_text(path) == text
-        except (OSError, UnicodeDecodeError):  # no regular file, or none of text
-            is_same = False
-        if not is_same:
-            raise DataError(
-                f"{path} exists already with different content; move it, or write the "
-                "study file under another name."
-            )
-    write_whole(path, text)
+    otherwise = "move it, or write the study file under another name."
+    write_new(path, text.encode(), otherwise)
 
 
 def in_written_units(data: Measurements) -> Measurements:
@@ -420,9 +410,8 @@ def joined(
         )
     whole = []
     for first, then in zip(train.trajectories, held_out.trajectories, strict=True):
-        parts: dict[str, Any] = {
-            label: np.concatenate([getattr(first, label), getattr(then, label)])
-            for label in ("t", "x", "u")
-        }
-        whole.append(replace(first, **parts))
+        t = np.concatenate([first.t, then.t])
+        x = np.concatenate([first.x, then.x])
+        u = np.concatenate([first.u, then.u])
+        whole.append(replace(first, t=t, x=x, u=u))
     return replace(train, trajectories=tuple(whole)), HeldOut(after=cut)

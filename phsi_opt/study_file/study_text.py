@@ -112,8 +112,8 @@ def _content(study: Sections) -> Content:
     data = replace(study.data, places={})
     return {
         "data": {"time": {}, **_plain(data)},
-        "held_out": _plain(study.held_out) if study.held_out else {},
-        "final": _plain(study.final) if study.final else {},
+        "held_out": _plain(study.held_out),
+        "final": _plain(study.final),
         "model": _model(study.base),
         "parameters": _plain(parameters),
         "effects": _plain(study.own_effects),

@@ -50,14 +50,9 @@ def tables_of(path: Path) -> dict[str, Any]:
     Raises:
         StudyFileError: it cannot be read, or is no TOML.
     """
-    return text_and_tables(path)[1]
-
-
-def text_and_tables(path: Path) -> tuple[str, dict[str, Any]]:
-    """The text and the tables of a TOML file, as `tables_of`."""
     try:
         text = file_text(path, LARGEST_STUDY)
-        return text, toml_tables(text)
+        return toml_tables(text)
     except FileNotFoundError:
         said = "there is no such file; phsi-opt init DATA.csv writes one."
     except UnicodeDecodeError as error:
