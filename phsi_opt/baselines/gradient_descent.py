@@ -7,7 +7,7 @@ precision; only the way down differs, whose steps are in `descent`.
 
 import re
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -114,9 +114,10 @@ class DescentRun:
             of_model = (entry.parameter.lower, entry.parameter.upper)
             bounds.append(of_model if bounded else (-np.inf, np.inf))
         self.lower, self.upper = torch.tensor(bounds, dtype=self.dtype).T.contiguous()
+        self._keep_bounds()
         self.l1 = self._l1(epoch=1)
+        self.theta.register_hook(self._with_l1)
         self.adam = torch.optim.Adam([self.theta], weight_decay=settings.weight_decay)
-        self.adam.register_step_pre_hook(lambda *_: self._add_slope_of_l1())
         self.adam.register_step_post_hook(lambda *_: self._keep_bounds())
 
     def loss(self, tables: Sequence[Tensor]) -> Tensor:
@@ -147,27 +148,24 @@ class DescentRun:
     def values(self) -> dict[str, float]:
         """Every parameter by name."""
         found = zip(self.model.free, self.theta.tolist(), strict=True)
-        return {**self.model.values, **dict(found)}
+        return self.model.values | dict(found)
 
     @property
     def entries(self) -> list[Entry]:
         """What theta is made of."""
         return [self.model.entries[name] for name in self.model.free]
 
-    def _l1(self, epoch: int) -> Tensor | None:
-        """Weights of ``|parameter|`` in an epoch; None if all are zero."""
+    def _l1(self, epoch: int) -> Tensor:
+        """Weights of ``|parameter|`` in an epoch."""
         weights = dict(self.settings.l1)
         off_after = self.settings.l1_off_after
         if off_after is not None and epoch > off_after * self.settings.epochs:
             weights.pop("H", None)
-        if not any(weights.values()):
-            return None
         of_theta = [weights.get(one.slot, 0.0) * one.prunable for one in self.entries]
         return torch.tensor(of_theta, dtype=self.dtype)
 
-    def _add_slope_of_l1(self) -> None:
-        if self.l1 is not None and self.theta.grad is not None:
-            self.theta.grad.addcmul_(self.l1, self.theta.detach().sign())
+    def _with_l1(self, slopes: Tensor) -> Tensor:
+        return slopes.addcmul(self.l1, self.theta.detach().sign())
 
     def _keep_bounds(self) -> None:
         self.theta.detach().clamp_(self.lower, self.upper)
@@ -192,7 +190,13 @@ class DescentRun:
     def kept(self) -> Model:
         """The model at the values so far, without the terms that were pruned."""
         values = self.values
-        kept = _released(self.model, values).without(set(self.removed))
+        outside = []  # damping that left its bounds
+        for one in self.entries:
+            is_within = one.parameter.lower <= values[one.name] <= one.parameter.upper
+            if one.slot == "R" and not is_within:
+                outside.append(one.name)
+        released = self.model.with_parameters(_without_bounds, outside)
+        kept = released.without(set(self.removed))
         return kept.with_values({name: values[name] for name in kept.entries})
 
     def result(self, progress: Progress | None = None) -> Baseline:
@@ -230,26 +234,17 @@ class DescentRun:
         )
 
 
+def _without_bounds(_: str, parameter: Parameter) -> Parameter:
+    return replace(parameter, lower=-np.inf, upper=np.inf)
+
+
 def loss_and_slopes(model: Model, scheme: str) -> ca.Function:
     """CasADi function (interval, theta) -> loss and its slopes, (1 + n_free,)."""
     function = defect(model, scheme)
     *interval, theta = argument_symbols(function)
     loss = ca.sumsqr(function(*interval, theta))
-    results = ca.cse([ca.vertcat(loss, ca.gradient(loss, theta))])
-    arguments = [ca.vertcat(*interval), theta]
-    return ca.Function("one", arguments, list(map(ca.densify, results)))
-
-
-def _released(model: Model, values: Mapping[str, float]) -> Model:
-    """The model without bounds of a damping that left them, to hold its value."""
-
-    def released(name: str, parameter: Parameter) -> Parameter:
-        is_within = parameter.lower <= values[name] <= parameter.upper
-        if parameter.fixed or is_within or model.entries[name].slot != "R":
-            return parameter
-        return replace(parameter, lower=-np.inf, upper=np.inf)
-
-    return model.with_parameters(released, model.entries)
+    (both,) = ca.cse([ca.vertcat(loss, ca.gradient(loss, theta))])
+    return ca.Function("one", [ca.vertcat(*interval), theta], [ca.densify(both)])
 
 
 # ---- where it starts (thesis appendix B, Section 5.1) -------------------------------
@@ -269,19 +264,15 @@ def starting_values(model: Model, settings: Descent, seed: int) -> np.ndarray:
         parameter = entry.parameter
         # Of a formula or inside a term.
         is_known = parameter.value is not None and not entry.prunable
-        if parameter.fixed:
-            continue
-        if settings.start == "model" or is_known:
-            values.append(parameter.start)
-            continue
         value = of_thesis.get(name, THESIS_STARTS["function"])
-        if settings.start == "normal":
+        if settings.start == "model" or is_known:
+            value = parameter.start
+        elif settings.start == "normal":
             # At a bound of zero nothing would move.
             is_size = parameter.lower == 0 and entry.slot != "R"
             value = abs(draw) if is_size else draw
-        if entry.slot != "R" or settings.keep_damping_positive:
-            value = float(np.clip(value, parameter.lower, parameter.upper))
-        values.append(value)
+        if not parameter.fixed:
+            values.append(value)
     return np.array(values)
 
 

@@ -10,13 +10,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phsi_opt.arguments import typed
+from phsi_opt.arguments import require_known, typed
 from phsi_opt.data.checks import checked_hold
-from phsi_opt.errors import DataError, did_you_mean
+from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit_file import (
     Content,
     check_keys,
@@ -37,7 +37,6 @@ from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.writing import write_whole
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
 
 FORMAT = "phsi_opt fit 2"
@@ -114,9 +113,9 @@ class Fit(FitRecord, Summarised):
             ModelError: The model in the content is not valid.
             LookupError, TypeError, ValueError, AttributeError: The content is damaged.
         """
-        hints = get_type_hints(cls) | {"hold": Any}
-        check_keys(content, ("format", *hints))
-        fit = cls(**{name: decoded(hints[name], content[name]) for name in hints})
+        known = dict(content)
+        del known["format"]
+        fit = decoded(cls, known)
         model = fit.model
         unknown = Theta.of(model, tuple(fit.by_trajectory) or ("",))
         check_keys(dict.fromkeys(fit.names), unknown.names)
@@ -130,14 +129,14 @@ class Fit(FitRecord, Summarised):
         freedom = fit.degrees_of_freedom
         if freedom.shape != (n,):
             raise DataError(f"{freedom.size} degrees of freedom for {n} estimates")
-        for what, numbers in (
-            ("the variances of the estimates", np.diag(covariance)),
-            ("noise", np.array(list(fit.noise.values()))),
-            ("degrees of freedom", freedom),
-            ("n_values", np.array([fit.n_values])),
-        ):
-            if np.any(numbers < 0):
-                raise DataError(f"{what}: {numbers.tolist()}; none can be negative")
+        for what, numbers in {
+            "the variances of the estimates": np.diag(covariance).tolist(),
+            "noise": list(fit.noise.values()),
+            "degrees of freedom": freedom.tolist(),
+            "n_values": [fit.n_values],
+        }.items():
+            if np.any(np.array(numbers) < 0):
+                raise DataError(f"{what}: {numbers}; none can be negative")
         by_source = fit.covariances.items()
         uncertainty = replace(
             fit.uncertainty.value,
@@ -162,20 +161,11 @@ class Fit(FitRecord, Summarised):
         """
         from phsi_opt.presentation.pictures import plot_estimates
 
-        return plot_estimates(self._estimates_table(PLOTTED_LEVEL), PLOTTED_LEVEL, ax)
-
-    def _estimates_table(self, level: float) -> "pd.DataFrame":
-        """What a picture shows: a row per estimate with limits, unit, ``at_bound``."""
-        parameters = self.parameters.set_index("name")
-        table = self.intervals(level)
-        table["unit"] = parameters["unit"].reindex(table.index)
-        for entry in self.model.entries.values():
-            scale = scale_of(self.parameter_units[entry.name])
-            rows = table.index.isin(self._values_of(entry))
-            for column in ("value", "ci_lower", "ci_upper"):
-                table.loc[rows, column] = scale.shown(table.loc[rows, column])
+        table = self.parameters.set_index("name").loc[list(self.names)]
+        table["half_width"] = self._std_errors_within(PLOTTED_LEVEL)
+        table["half_width"] *= table["std_error"]
         table["at_bound"] = table.index.isin(self.outcome.at_bounds)
-        return table.rename_axis("name").reset_index()
+        return plot_estimates(table.reset_index(), PLOTTED_LEVEL, ax)
 
     def _summary(self) -> Summary:
         """For notebooks and rich: as the text, the parameters in a table."""
@@ -194,8 +184,7 @@ class Fit(FitRecord, Summarised):
 
 def _check_names(names: Iterable[str], known: Sequence[str]) -> None:
     for name in names:
-        if name not in known:
-            raise DataError(f"{name!r} is not in the model{did_you_mean(name, known)}")
+        require_known(name, known, f"{name!r} is not in the model", DataError)
 
 
 # ---- text ----------------------------------------------------------------------------
@@ -216,11 +205,10 @@ def equation_lines(fit: FitRecord) -> list[str]:
     rows += dictionary_rows(fit.model, partial(_term, fit))
     own = fit.model.names_in_formulas
     for name, entry in fit.model.entries.items():
-        if entry.parameter.fixed:
+        fixed = " (fixed)" if entry.parameter.fixed else ""
+        if fixed or name in own:
             told = name if name in own else parameter_words(fit.model, name)
-            rows.append(f"{told} = {_estimate(fit, name)} (fixed)")
-        elif name in own:
-            rows.append(f"{name} = {_estimate(fit, name)}")
+            rows.append(f"{told} = {_estimate(fit, name)}{fixed}")
     rounded = partial(LONG_NUMBER.sub, lambda found: f"{float(found[0]):.{DIGITS}g}")
     return list(map(rounded, rows))
 

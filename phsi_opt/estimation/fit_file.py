@@ -13,6 +13,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from phsi_opt.data.checks import Hold
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.later import Later
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
@@ -77,7 +78,7 @@ def decoded(kind: Any, value: Any) -> Any:
     """
     origin = get_origin(kind)
     args = get_args(kind)
-    if kind is Any or (value is None and type(None) in args):
+    if kind in (Any, Hold) or (value is None and type(None) in args):
         return value
     if type(None) in args:
         kind = args[0]
@@ -101,7 +102,7 @@ def decoded(kind: Any, value: Any) -> Any:
         return tuple(decoded(args[0], one) for one in value)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
-        check_keys(value, [one.name for one in fields(kind)])
+        check_keys(value, hints)
         return kind(**{name: decoded(hints[name], v) for name, v in value.items()})
     if kind is str and isinstance(value, Mapping):
         return Unit(
@@ -142,15 +143,12 @@ def model_from(content: Content) -> Model:
         ModelError: A formula is not one, or the model contradicts itself.
         LookupError, TypeError, ValueError, AttributeError: The content is damaged.
     """
-    parts: Content = {
-        "states": content["states"],
-        "inputs": content["inputs"],
-        "memory": content["memory"],
-        "kind": content["kinds"],
-    }
+    kind = KINDS[content["kind"]]
+    parts: Content = {"kind": content["kinds"]}
+    for name in ("states", "inputs", "memory"):
+        parts[name] = content[name]
     for slot in BY_EQUATION:
         parts[slot] = decoded(Mapping[str, Dictionary], content[slot])
-    kind = KINDS[content["kind"]]
     if kind is PseudoHamiltonian:
         parts["S"] = content["S"]
         parts["H"] = decoded(Dictionary, content["H"])

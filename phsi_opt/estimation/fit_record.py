@@ -16,7 +16,7 @@ import numpy as np
 from phsi_opt.arguments import require_known, require_share, typed
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError, shown, some_of
+from phsi_opt.errors import DataError, shown
 from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
@@ -447,7 +447,7 @@ class FitRecord(Identified):
         chosen = np.ix_(places, places)
         white = self.covariances[Source.NOISE][chosen]
         given = self.covariance[chosen]
-        if not places or not np.isfinite(white).all() or not np.isfinite(given).all():
+        if not places or not np.isfinite([white, given]).all():
             return float("nan")
         ratio = np.trace(np.linalg.pinv(white, hermitian=True) @ given) / len(places)
         return float(min(1 / max(ratio, TINY), 1.0))
@@ -497,12 +497,15 @@ class FitRecord(Identified):
             DataError: ``level`` does not lie between 0 and 1.
         """
         require_share("level", level, DataError)
-        quantiles = student_limit((1 - level) / 2, self.degrees_of_freedom)
-        half = quantiles * np.sqrt(np.diag(self.covariance))
+        half = self._std_errors_within(level) * np.sqrt(np.diag(self.covariance))
         values = np.array(list(self.estimates.values()))
         limits = np.column_stack([values, values - half, values + half])
         columns = ["value", "ci_lower", "ci_upper"]
         return printed_table(limits, index=list(self.estimates), columns=columns)
+
+    def _std_errors_within(self, level: float) -> np.ndarray:
+        """Standard errors in half an interval of confidence, (n_names,)."""
+        return np.asarray(student_limit((1 - level) / 2, self.degrees_of_freedom))
 
     def model_of(self, trajectory: str | int) -> Model:
         """The model with the parameters of one trajectory.
@@ -586,12 +589,9 @@ class FitRecord(Identified):
         """
         if trajectory is None:
             return super().simulate(t, x0, u)
-        if self._trajectory_name(trajectory) not in self.by_trajectory:
-            known = some_of(list(self.by_trajectory), "none: all parameters are shared")
-            raise DataError(
-                f"trajectory {shown(trajectory)} has no parameters of its own in this "
-                f"fit; known are {known}."
-            )
+        name = self._trajectory_name(trajectory)
+        said = f"trajectory {shown(trajectory)} has no parameters of its own"
+        require_known(name, self.by_trajectory, said, DataError)
         return simulate(self.model_of(trajectory), t, x0, u, hold=self.hold)
 
 
@@ -601,8 +601,8 @@ def parameters_of(fit: FitRecord, data: Measurements) -> dict[str, dict[str, flo
     A trajectory that the fit has not seen by its name gets the means of the fit.
     """
     means = {name: fit.values[name] for name in fit.model.free}
-    names = [run.name for run in data.trajectories]
-    return {name: means | dict(fit.by_trajectory.get(name, {})) for name in names}
+    own = fit.by_trajectory
+    return {run.name: means | dict(own.get(run.name, {})) for run in data.trajectories}
 
 
 def parameter_matrix(
@@ -620,6 +620,6 @@ def lasting_noise(
     found = []
     for row in rows:
         if row.kind == SENSOR_ERROR and row.time <= longest:
-            channel = list(states).index(row.where.removeprefix(OF_SENSOR))
+            channel = states.index(row.where.removeprefix(OF_SENSOR))
             found.append(Process(channel, row.size, row.time))
     return tuple(found)

@@ -44,7 +44,6 @@ from phsi_opt.learning.hybrid_network import (
     train,
 )
 from phsi_opt.learning.network import cross_validated_ridge
-from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.simulation.simulate import simulate_forced
@@ -113,9 +112,8 @@ def hybrid(
         before = (model, at_stages)
         prune = pruning if turn >= FIRST_PRUNED_TURN else None
         forced, inputs = problem.forced(*before)
-        loss = PHSILoss(integrator)
         aligned = AlignedData(record, inputs)
-        fit = identify_forced(forced, aligned, loss, l1, prune, fit)
+        fit = identify_forced(forced, aligned, PHSILoss(integrator), l1, prune, fit)
         model = without_signals(fit.model)
         stages = problem.training_set(model, at_stages)
         in_turn = replace(
@@ -187,9 +185,8 @@ class Hybrid(Identified):
 
     def _added(self, t: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """What the network adds to dx/dt, (n_states,)."""
-        inputs = np.asarray(u)[: self.model.n_inputs]
         total = np.zeros(self.model.n_states)
-        total[self.force.rows] = self.force.at(np.r_[x, inputs, t][None])[0]
+        total[self.force.rows] = self.force.at(np.r_[x, u, t][None])[0]
         return total
 
     def without_force(self) -> Fit:
@@ -307,13 +304,10 @@ class _Problem:
         folds = trajectory % N_FOLDS
         if trajectory[-1] + 1 < N_FOLDS:  # blocks of few trajectories
             folds = np.arange(len(trajectory)) * N_FOLDS // len(trajectory)
-        data = TrainingSet(
-            np.stack(stages, axis=1),
-            np.array(self.rule.weights) / sum(self.rule.weights),
-            self.defects(model, force).d[:, self.rows],
-            folds,
-        )
-        return replace(data, target=data.target + data.mean(force))
+        weights = np.array(self.rule.weights) / sum(self.rule.weights)
+        target = self.defects(model, force).d[:, self.rows]
+        target = target + np.tensordot(force, weights, axes=(1, 0))
+        return TrainingSet(np.stack(stages, axis=1), weights, target, folds)
 
     def with_best_output(
         self, trained: TrainedForce, model: Model, data: TrainingSet
@@ -393,10 +387,9 @@ def with_signals(model: Model, equations: Sequence[str], rule: Integrator) -> Mo
 def without_signals(model: Model) -> Model:
     """The inverse of `with_signals`, with the values that the model has now."""
     inputs = tuple(name for name in model.inputs if not name.startswith(SIGNAL))
-    signals = set(model.inputs) - set(inputs)
     F = {}
     for equation, terms in model.F.items():
-        kept = tuple(term for term in terms if signals.isdisjoint(names_of(term.body)))
+        kept = tuple(term for term in terms if SIGNAL not in term.body)
         if kept:
             F[equation] = Dictionary(kept)
     return replace(model, inputs=inputs, F=F)

@@ -124,10 +124,24 @@ class TrainedForce:
         Raises:
             DataError: if t or u is needed and not given, or has another shape.
         """
-        x = np.atleast_2d(x)
-        u = self._columns(u, "u", self.names[self.n_states : -1], len(x))
-        t = self._columns(t, TIME_NAME, (TIME_NAME,), len(x))
-        return self.at(np.hstack([x, u, t]))
+        columns = [np.atleast_2d(x)]
+        inputs = self.names[self.n_states : -1]
+        for argument, values, names in (("u", u, inputs), ("t", t, (TIME_NAME,))):
+            shape = (len(columns[0]), len(names))
+            if values is None:
+                values = np.zeros(shape)  # of what nothing depends on
+                for name in filter(names.__contains__, self.variables):
+                    raise DataError(
+                        f"the force depends on {name!r}; give {argument} together "
+                        "with x."
+                    )
+            if np.size(values) != shape[0] * shape[1]:
+                raise DataError(
+                    f"{argument} has shape {np.shape(values)}; expected {shape}, a row "
+                    "per row of x."
+                )
+            columns.append(np.reshape(np.asarray(values, dtype=float), shape))
+        return self.at(np.hstack(columns))
 
     def at(self, rows: np.ndarray) -> np.ndarray:
         """The force, (n_samples, n_equations), at rows (n_samples, n_names)."""
@@ -136,24 +150,6 @@ class TrainedForce:
     def values_in(self, rows: np.ndarray) -> np.ndarray:
         """Those of the variables in rows (..., n_names), (..., n_variables)."""
         return rows[..., list(map(self.names.index, self.variables))]
-
-    def _columns(
-        self, values: Any, argument: str, names: tuple[str, ...], n_samples: int
-    ) -> np.ndarray:
-        """Inputs or times in the shape of rows; zeros where nothing depends on them."""
-        shape = (n_samples, len(names))
-        if values is None:
-            for name in filter(names.__contains__, self.variables):
-                raise DataError(
-                    f"the force depends on {name!r}; give {argument} together with x."
-                )
-            return np.zeros(shape)
-        if np.size(values) != shape[0] * shape[1]:
-            raise DataError(
-                f"{argument} has shape {np.shape(values)}; expected {shape}, a row per "
-                "row of x."
-            )
-        return np.reshape(np.asarray(values, dtype=float), shape)
 
 
 # ---- training ------------------------------------------------------------------------
@@ -230,9 +226,8 @@ def _best(
     )
     n_steps = settings.epochs * -(-len(used) // settings.batch)
     rates = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, n_steps)
-    best = start = layers_of(net)
-    limit = (1 + LARGEST_RISE) * error(left_out).item()
-    least = np.inf
+    best = layers_of(net)
+    least = (1 + LARGEST_RISE) * error(left_out).item()
     for _ in range(settings.epochs):
         order = used[torch.randperm(len(used))]
         for chosen in order.split(settings.batch):
@@ -244,4 +239,4 @@ def _best(
         if now < least:
             least = now
             best = layers_of(net)
-    return best if least <= limit else start
+    return best

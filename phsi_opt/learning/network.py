@@ -66,18 +66,11 @@ class Network:
         """Refuse arrays from a file that are not of so many variables and outputs.
 
         Raises:
-            DataError: a size does not fit.
+            DataError, ValueError: a size does not fit.
         """
-        size = n_variables
-        scales = (self.shift, self.spread, *self.seen)
-        fits = [scale.shape for scale in scales] == 4 * [(n_variables,)]
-        for weights, bias in self.layers:
-            fits = fits and weights.shape == (len(bias), size)
-            size = len(bias)
-        if not fits or size != n_outputs:
+        if self.at(np.zeros((2, n_variables))).shape != (2, n_outputs):
             raise DataError(
-                "the layers of the network do not fit together "
-                "or to its equations and variables."
+                "the layers of the network do not fit to its equations and variables."
             )
 
 
@@ -102,8 +95,8 @@ def cross_validated_ridge(
     for fold in range(N_FOLDS):
         of_fold = columns[folds == fold].reshape(-1, columns.shape[2])
         parts.append((of_fold, -d[folds == fold].ravel()))
-    normals = [normal_equations(*part) for part in parts]
-    normal = sum(normals[1:], normals[0])
+    normals = np.stack([normal_equations(*part) for part in parts])
+    normal = normals.sum(axis=0)
     ridge = np.diag(ridged * np.mean(np.diag(normal)[ridged]))
 
     def solution(equations: np.ndarray, weight: float) -> np.ndarray:
@@ -117,8 +110,8 @@ def cross_validated_ridge(
             errors[place, fold] = np.sum((target - of_fold @ z) ** 2)
     more = errors - errors[np.argmin(errors.sum(axis=1))]
     standard_error = more.std(axis=1, ddof=1) / np.sqrt(N_FOLDS)
-    good = np.flatnonzero(more.mean(axis=1) <= standard_error)
-    return solution(normal, RIDGE_WEIGHTS[good[-1]])
+    is_good = more.mean(axis=1) <= standard_error
+    return solution(normal, RIDGE_WEIGHTS[is_good][-1])
 
 
 # ---- in torch ------------------------------------------------------------------------
@@ -163,6 +156,5 @@ def layers_of(net: Any) -> Layers:
 
 def begin_at(net: Any, layers: Layers) -> None:
     """Continue a training in torch at layers in NumPy."""
-    arrays = chain.from_iterable(layers)
-    for tensor, array in zip(net.parameters(), arrays, strict=True):
+    for tensor, array in zip(net.parameters(), chain(*layers), strict=True):
         tensor.data = tensor.data.new_tensor(array)

@@ -10,7 +10,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
-from itertools import chain
+from itertools import chain, cycle
 from textwrap import wrap
 from typing import Any
 
@@ -135,13 +135,13 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     x = np.arange(n, dtype=float)
     errors = np.array([(one.train, one.held_out, one.floor) for one in steps], float)
     train, held_out, floor = errors.T
+    is_below = train <= held_out  # of two near errors both numbers are seen
+    curves = [_steps("training", x, train, MODEL, is_below)]
     of = ""
-    curves = [_steps("training", x, train, MODEL)]
-    if np.isfinite(held_out).any():  # of two near errors both numbers are seen
+    if np.isfinite(held_out).any():
         of = " of held-out data"
-        is_below = train <= held_out
-        trained = _steps("training", x, train, MEASURED, is_below)
-        curves = [trained, _steps("held out", x, held_out, MODEL, ~is_below)]
+        training = replace(curves[0], color=MEASURED)
+        curves = [training, _steps("held out", x, held_out, MODEL, ~is_below)]
     final = np.array([one.final for one in steps], float)
     if np.isfinite(final).any():
         curves.append(Curve("final test", x, final, ATTENTION, "dot"))
@@ -149,10 +149,10 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     ends = np.where(np.isfinite(ends), ends, floor[:, None])
     interval = with_interval(floor[-1], ends[-1], typeset(spaced(unit)))
     band = f"noise floor{of} {interval}"
-    low, high = np.pad(ends, ((1, 1), (0, 0)), mode="edge").T
+    ends = np.pad(ends, ((1, 1), (0, 0)), mode="edge")
     wide = np.r_[-0.5, x, n - 0.5]  # a band where there is one step too
-    middle = (low + high) / 2
-    half = (high - low) / 2
+    middle = ends.mean(axis=1)
+    half = np.ptp(ends, axis=1) / 2
     curves.append(Curve("", wide, middle, FLOOR, FILLED, half, band, group=band))
     known = errors[errors > 0]
     is_log = n > 1 and known.size > 0 and known.max() >= 10 * known.min()
@@ -164,14 +164,10 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
 
 
 def _steps(
-    name: str,
-    x: np.ndarray,
-    y: np.ndarray,
-    color: str,
-    is_below: np.ndarray | None = None,
+    name: str, x: np.ndarray, y: np.ndarray, color: str, is_below: np.ndarray
 ) -> Curve:
     texts = tuple(number(one, 3) if np.isfinite(one) else "" for one in y)
-    below = () if is_below is None else tuple(is_below.tolist())
+    below = tuple(is_below.tolist())
     return Curve(name, x, y, color, STEPS, texts=texts, is_below=below)
 
 
@@ -220,8 +216,7 @@ def force_chart(
     y_label = label(f"missing {what}", units.pop() if len(units) == 1 else "")
     x_label = time_label(unit_of_time, forces[0].origin)
     curves = []
-    for k, one in enumerate(forces):
-        color = FORCE_COLORS[k % len(FORCE_COLORS)]
+    for one, color in zip(forces, cycle(FORCE_COLORS), strict=False):
         name = f"missing in d{one.equation}/dt"
         curves.append(Curve(name, one.t, one.force, color, std=2 * one.std))
     return Chart(x_label, (Panel(y_label, curves),), forces[0].run, mark=mark)
@@ -274,8 +269,8 @@ def rounded(curve: np.ndarray) -> list[float | None]:
     extent = float(np.ptp(known)) if len(known) else 0.0
     size = extent or (abs(float(known[0])) if len(known) else 1.0) or 1.0
     n_decimals = 4 - math.floor(math.log10(size))
-    decimals = [round(value, n_decimals) for value in curve.tolist()]
-    return [value if math.isfinite(value) else None for value in decimals]
+    values = curve.tolist()
+    return [round(one, n_decimals) if math.isfinite(one) else None for one in values]
 
 
 # ---- by matplotlib -------------------------------------------------------------------
@@ -291,8 +286,8 @@ def svg(chart: Chart) -> str:
                 line.set_rasterized(np.size(line.get_xdata()) > 300)
         set_title(ax, _short(chart.title), loc="left", fontsize=10)
         text = io.StringIO()
-        written: Any = {"format": "svg", "metadata": {"Date": None, "Creator": None}}
-        figure.savefig(text, dpi=150, **written)
+        unwritten = {"Date": None, "Creator": None}
+        figure.savefig(text, dpi=150, format="svg", metadata=unwritten)
     return text.getvalue()
 
 
@@ -323,15 +318,10 @@ def _rows_of(ax: Axes, heights: Sequence[float]) -> list[Axes]:
     return rows
 
 
-def drawn(
-    chart: Chart,
-    title: str = "",
-    ax: Axes | None = None,
-    size: tuple[float, float] | None = None,
-) -> Axes:
+def drawn(chart: Chart, title: str = "", ax: Axes | None = None) -> Axes:
     """All panels of a chart below each other, the first one on axes."""
     heights = [panel.height for panel in chart.panels] or [1.0]
-    ax = axes_of(ax, size or _size(chart, 8.0))
+    ax = axes_of(ax, _size(chart, 8.0))
     rows = _rows_of(ax, heights) if len(heights) > 1 else [ax]
     for place, row in enumerate(rows):
         draw(row, chart, place)
@@ -360,9 +350,8 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
     for curve in panel.curves:
         _draw_curve(ax, curve)
     if panel.noise is not None:
-        band: Any = {"color": FLOOR, "alpha": 0.2, "lw": 0}
-        text = "noise, two standard deviations"
-        ax.axhspan(-panel.noise, panel.noise, label=text, **band)
+        band = ax.axhspan(-panel.noise, panel.noise, color=FLOOR, alpha=0.2, lw=0)
+        band.set_label("noise, two standard deviations")
     ax.set_ylabel(_short(panel.label))
     ax.margins(y=0.25)
     if panel.scale == LOG:
@@ -384,15 +373,13 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
 
 def _draw_curve(ax: Axes, curve: Curve) -> None:
     if curve.std is not None:
-        lower = curve.y - curve.std
-        upper = curve.y + curve.std
+        ends = (curve.y - curve.std, curve.y + curve.std)
         look: Any = {"color": curve.color, "alpha": 0.2, "lw": 0}
-        ax.fill_between(curve.x, lower, upper, label=curve.band, **look)
+        ax.fill_between(curve.x, *ends, label=curve.band, **look)
     look = {"lw": 1.3, "color": curve.color, **MATPLOTLIB_LOOKS[curve.look]}
     ax.plot(curve.x, curve.y, label=_short(curve.name) or None, **look)
     for k, text in enumerate(curve.texts):
-        is_below = curve.is_below and curve.is_below[k]
-        offset, place = (-4, "top") if is_below else (4, "bottom")
+        offset, place = (-4, "top") if curve.is_below[k] else (4, "bottom")
         look = {"ha": "center", "va": place, "color": curve.color}
         look |= {"xytext": (0, offset), "textcoords": "offset points"}
         ax.annotate(text, (curve.x[k], curve.y[k]), **look)
@@ -400,8 +387,8 @@ def _draw_curve(ax: Axes, curve: Curve) -> None:
 
 def _draw_map(ax: Axes, found: ForceMap) -> None:
     """Mean force in cells of two variables; red is positive, blue negative."""
-    look: Any = {"cmap": "RdBu_r", "vmin": -found.largest, "vmax": found.largest}
     mean = np.ma.masked_invalid(found.force)
-    mesh = ax.pcolormesh(found.x, found.y, mean, shading="nearest", **look)
+    mesh = ax.pcolormesh(found.x, found.y, mean, shading="nearest", cmap="RdBu_r")
+    mesh.set_clim(-found.largest, found.largest)
     ax.figure.colorbar(mesh, ax=ax, label=_short(found.label))
     ax.set_ylabel(_short(found.y_label))

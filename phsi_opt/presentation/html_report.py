@@ -9,7 +9,7 @@ import base64
 import gzip
 import json
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any
 
 from markupsafe import Markup
 
@@ -30,23 +30,21 @@ PRESENTATION = "phsi_opt.presentation"
 TEMPLATES = "templates"
 
 
-class _Place(NamedTuple):
-    """The charts of a place, by run and channel, and which of them is shown first."""
-
-    charts: list[list[Chart]]
-    run: int
-    channel: int = 0
-
-
 def _places(
     content: StudyContent, data: Chart | None
-) -> tuple[dict[str, Chart], dict[str, _Place]]:
-    """The charts of a report by the names of their places: one each, or several."""
+) -> tuple[dict[str, Chart], dict[str, list[list[Chart]]]]:
+    """By the names of their places: the charts that are shown first, and several.
+
+    Several charts have one place, by run and channel.
+    """
     runs = []
     for run in content.runs:
         runs.append([run_chart(content, run, k) for k in range(len(run.channels))])
-    several = {"measured": _Place(runs, content.shown, content.shown_channel)}
-    charts = {"staircase": errors_chart(content.steps, content.unit)}
+    several = {"measured": runs}
+    charts = {
+        "staircase": errors_chart(content.steps, content.unit),
+        "measured": runs[content.shown][content.shown_channel],
+    }
     if data is not None:
         charts["data-chart"] = data
     for k, law in enumerate(content.laws):
@@ -55,7 +53,8 @@ def _places(
         for k, force in enumerate(diagnosed.forces):
             name = f"force-{f}-{k}"
             along = [[force_chart([run], content.time.unit)] for run in force.runs]
-            several[f"{name}-time"] = _Place(along, force.shown)
+            several[f"{name}-time"] = along
+            charts[f"{name}-time"] = along[force.shown][0]
             charts[f"{name}-follows"] = follows_chart(force.follows)
             if force.map is not None:
                 charts[f"{name}-map"] = Chart(force.map.x_label, map=force.map)
@@ -65,9 +64,6 @@ def _places(
 def html_report(content: StudyContent, data: Chart | None = None) -> str:
     """The whole report as the text of an HTML file, with a chart of all its data."""
     charts, several = _places(content, data)
-    drawn = figure(charts | {name: place.charts for name, place in several.items()})
-    for name, place in several.items():
-        charts[name] = place.charts[place.run][place.channel]
 
     def picture(name: str) -> str:
         """An address that holds the picture for paper."""
@@ -82,7 +78,7 @@ def html_report(content: StudyContent, data: Chart | None = None) -> str:
         markup=Markup,
         style=Markup(ours("chart.css") + ours("report.css")),  # no escape
         script=Markup(ours("chart.js") + ours("report.js")),
-        data=packed(json.dumps(drawn, allow_nan=False)),
+        data=packed(json.dumps(figure(charts | several), allow_nan=False)),
     )
 
 

@@ -218,10 +218,8 @@ def chosen_fields(record: Any) -> dict[str, Any]:
     chosen = {}
     for one in fields(record):
         value = getattr(record, one.name)
-        default = one.default
-        if one.default_factory is not MISSING:
-            default = one.default_factory()
-        if value != default:
+        made = one.default_factory
+        if value != (one.default if made is MISSING else made()):
             chosen[one.name] = value
     return chosen
 

@@ -75,7 +75,7 @@ def plot_free_run(
         noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
         told = label("residual", unit if is_alone else "noise std.")
         panels.append(Panel(told, residuals, noise=noise, height=0.5))
-    return drawn(Chart(label("t", t_unit), tuple(panels)), title, ax, (8.0, 4.8))
+    return drawn(Chart(label("t", t_unit), tuple(panels)), title, ax)
 
 
 def plot_profile(
@@ -132,7 +132,7 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
     """
     n = len(table)
     ax = axes_of(ax, (8.0, 1.1 + 0.32 * max(n, 2)))  # tick labels do not touch
-    half_width = (table["ci_upper"] - table["ci_lower"]).to_numpy(dtype=float) / 2
+    half_width = table["half_width"].to_numpy(dtype=float)
     percent = 100 * half_width / table["value"].abs().to_numpy(dtype=float)
     is_known = np.isfinite(half_width)
     cases = [is_known & (percent < 100), is_known, table["at_bound"].to_numpy(bool)]
@@ -149,7 +149,7 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
         ax.errorbar(0 * rows, rows, xerr=width, fmt=marker, **drawn)
         if told and len(rows):
             doubts.append(f"{len(rows)} {told}")
-    ax.set_yticks(np.arange(n), _row_labels(table, half_width))
+    ax.set_yticks(np.arange(n), list(map(_row_label, table.itertuples())))
     ax.tick_params(axis="y", length=0)
     ax.set_ylim(max(n, 1) - 0.5, -0.5)
     ax.set_xlim(-reach, reach)
@@ -165,14 +165,11 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
     return ax
 
 
-def _row_labels(table: pd.DataFrame, half_width: np.ndarray) -> list[str]:
+def _row_label(row: Any) -> str:
     """Name, value and half width with the unit, or why there is no half width."""
-    labels = []
-    for (_, row), half in zip(table.iterrows(), half_width, strict=True):
-        estimate = f"{row['name']} = {float(row['value']):.4g}"
-        reason = "at its bound" if row["at_bound"] else "no standard error"
-        told = f"{estimate} {row['unit']}".rstrip() + f", {reason}"
-        if np.isfinite(half):
-            told = f"{estimate} \N{PLUS-MINUS SIGN} {half:.2g} {row['unit']}".rstrip()
-        labels.append(told)
-    return labels
+    estimate = f"{row.name} = {row.value:.4g}"
+    if np.isfinite(row.half_width):
+        error = f"\N{PLUS-MINUS SIGN} {row.half_width:.2g}"
+        return f"{estimate} {error} {row.unit}".rstrip()
+    reason = "at its bound" if row.at_bound else "no standard error"
+    return f"{estimate} {row.unit}".rstrip() + f", {reason}"

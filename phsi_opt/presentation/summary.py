@@ -6,7 +6,7 @@ is shown as it is: in HTML it is escaped, and rich's markup has no meaning in it
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from textwrap import fill
+from textwrap import TextWrapper
 from typing import TYPE_CHECKING, Any
 
 from phsi_opt.presentation.numbers import LINE_WIDTH
@@ -86,9 +86,9 @@ def text_of_summary(summary: Summary, between: str = "\n\n") -> str:
 
 def filled(text: str, indent: str = "") -> str:
     """Sentences in lines of a terminal; what goes on is indented further."""
-    look: Any = {"break_long_words": False, "break_on_hyphens": False}
-    look |= {"initial_indent": indent, "subsequent_indent": f"{indent}  "}
-    return "\n".join(fill(row, LINE_WIDTH, **look) for row in text.splitlines())
+    wrapper = TextWrapper(LINE_WIDTH, indent, f"{indent}  ")
+    wrapper.break_long_words = wrapper.break_on_hyphens = False
+    return "\n".join(map(wrapper.fill, text.splitlines()))
 
 
 def printed_table(*args: Any, **kwargs: Any) -> "PrintedTable":

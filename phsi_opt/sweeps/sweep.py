@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 from urllib.parse import quote
 
 from phsi_opt.arguments import is_count, typed
@@ -195,8 +195,7 @@ def _swept(
     if not missing:
         return
     # Processes of our own end when the sweep does.
-    given = None if executor is None else nullcontext(executor)
-    with given or local_workers() as workers:
+    with local_workers() if executor is None else nullcontext(executor) as workers:
         for done in _computed(function, iter(missing.items()), workers, in_flight):
             if kept:
                 kept.keep(done.key, done.result)
@@ -290,7 +289,7 @@ def ahead(
         for case in cases.values():
             yield partial(function, case, say)
         return
-    begun: list[Future[_Heard]] = []
+    begun: list[Future[Any]] = []
     waiting = iter(cases.values())
     try:
         for number, key in enumerate(cases):
@@ -304,26 +303,21 @@ def ahead(
             future.cancel()
 
 
-class _Heard(NamedTuple):
-    """The result or error of a case, and its lines."""
-
-    result: Any
-    lines: list[str]
-    error: PhsiOptError | None = None
-
-
-def _heard(function: Callable[[Any, Progress], Any], case: Any) -> _Heard:
+def _heard(
+    function: Callable[[Any, Progress], Any], case: Any
+) -> tuple[list[str], Any]:
+    """The lines of a case, and its result or error."""
     lines: list[str] = []
     try:
-        return _Heard(function(case, lines.append), lines)
+        return lines, function(case, lines.append)
     except PhsiOptError as error:
-        return _Heard(None, lines, error)
+        return lines, error
 
 
-def _told(future: "Future[_Heard]", key: str, say: Progress) -> Any:
-    heard = _result_of(future, key)
-    for line in heard.lines:
+def _told(future: Future[Any], key: str, say: Progress) -> Any:
+    lines, result = _result_of(future, key)
+    for line in lines:
         say(line)
-    if heard.error is not None:
-        raise heard.error
-    return heard.result
+    if isinstance(result, PhsiOptError):
+        raise result
+    return result
