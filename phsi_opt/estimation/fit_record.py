@@ -16,7 +16,7 @@ import numpy as np
 from phsi_opt.arguments import require_known, require_share, typed
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError, shown
+from phsi_opt.errors import DataError, shown, some_of
 from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
@@ -589,9 +589,12 @@ class FitRecord(Identified):
         """
         if trajectory is None:
             return super().simulate(t, x0, u)
-        name = self._trajectory_name(trajectory)
-        said = f"trajectory {shown(trajectory)} has no parameters of its own"
-        require_known(name, self.by_trajectory, said, DataError)
+        if self._trajectory_name(trajectory) not in self.by_trajectory:
+            known = some_of(list(self.by_trajectory), "none: all parameters are shared")
+            raise DataError(
+                f"trajectory {shown(trajectory)} has no parameters of its own in this "
+                f"fit; known are {known}."
+            )
         return simulate(self.model_of(trajectory), t, x0, u, hold=self.hold)
 
 
