@@ -229,7 +229,7 @@ class Diagnosis(Summarised):
         forces = self.analysis.forces
         runs = [force_runs(force, TRAINING, time)[number] for force in forces]
         title = "Significant where the band does not include zero"
-        return drawn(force_chart(runs, time.unit), title, ax, (8.0, 3.6))
+        return drawn(force_chart(runs, time.unit), title, ax)
 
     def figure(self, equation: str | None = None) -> "Figure":
         """Missing force over time and states, its dependence, and its spectrum.
