@@ -314,7 +314,7 @@ def test_init_writes_no_absolute_path_of_a_table_beside_or_below(
     ("gone.mat", "gone.mat' cannot be read: there is no such file"),
     ("folder", "folder' cannot be read: it is a folder"),
     ("a.npz", "it contains binary data. Tables are read from text"),
-    ("log.mat", "is not a MATLAB file, or it is damaged"),
+    ("log.mat", "it is of another kind, or it is damaged"),
     ("other.csv", "q, v are only in one of them"),
 ])  # fmt: skip
 def test_files_that_are_no_tables_are_refused_in_words(tmp_path, name, why) -> None:

@@ -385,8 +385,9 @@ def lone_peaks(
     """
     if len(y) < 3:
         return NO_SAMPLES
-    share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
-    between = (1 - share) * y[:-2] + share * y[2:]
+    with np.errstate(all="ignore"):  # where two runs meet
+        share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+        between = (1 - share) * y[:-2] + share * y[2:]
     away = np.where(run[2:] == run[:-2], y[1:-1] - between, 0.0)
     # zero where a sample has no two neighbours
     around = sliding_window_view(np.pad(away, AROUND + 1), 2 * AROUND + 1)

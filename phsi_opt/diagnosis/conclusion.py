@@ -322,6 +322,7 @@ class _Judge:
         self.reject_others(())
         log_evidence = self.record.base.log_evidence
         is_far = any(map(is_surely_failing, base.comparisons))
+        is_far = is_far and base.record.is_of_training  # else parameters may be off
         if base.is_noise or not (is_far or self.is_force_evident(log_evidence, base)):
             none = "there is no evidence of anything missing, and no effect is decisive"
             reason = f"{base.error_words}; {none}"

@@ -325,6 +325,8 @@ class Refitting:
         task = Task(self.model, self.aligned, l1_weights(None), None, BRIEF)
         task = replace(task, corners=tuple(sorted(new)))
         fit = fit_of_task(base.loss, task, start)
+        if not base.record.is_of_training:
+            return fit  # the base was fitted to other data
         if is_worse(fit, base.fit):
             fit = thorough_fit(self.aligned, base.loss, fit)
         if not is_worse(fit, base.fit):

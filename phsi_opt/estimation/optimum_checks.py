@@ -94,13 +94,15 @@ def residual_warnings(
     if estimate.is_success and not noise.is_known.any():
         ratio, channel = _worst_ratio(estimate)
         if ratio >= 2:
-            spoilt = "; ".join(data.look.spoilt_words)
-            outliers = f"the data may be the cause ({spoilt})"
+            spoilt = list(data.look.spoilt_words)
+            cause = "there are outliers" if not spoilt else "the data may be the cause"
+            if not spoilt or "outlier" in str(spoilt):
+                spoilt.append(HUBER)
             warnings.append(
                 f"the residuals of {channel} are {ratio:.1f} times the scatter of "
                 "neighbouring samples: the model is incomplete (diagnose it), "
-                f"{outliers if spoilt else 'there are outliers'} ({HUBER}), or this is "
-                "not the best optimum (choose other starting values)"
+                f"{cause} ({'; '.join(spoilt)}), or this is not the best optimum "
+                "(choose other starting values)"
             )
     unresolved = unresolved_channels(data)
     for k in np.flatnonzero(~noise.is_known & (noise.least > 0)).tolist():
