@@ -51,6 +51,7 @@ def run(rmse: float, p: float = 0.0, *others: float, lasts: bool = False) -> Any
         floor_words=lambda: "1 m",
         table=pd.DataFrame({"whiteness": [p, *others]}),
         record=SimpleNamespace(
+            is_of_training=True,
             shows_correlated_noise=lasts,
             has_correlated_noise=lasts,
             data=positions(np.sin(np.arange(40.0))),
