@@ -151,3 +151,13 @@ def test_a_table_of_many_columns_with_like_names_is_looked_at_at_once(tmp_path) 
     path.write_text("\n".join([",".join(names), *rows]))
     with processor_time(2 * SECONDS):
         survey(path)
+
+
+def test_hundreds_of_columns_of_texts_are_looked_at_at_once(tmp_path: Path) -> None:
+    names = ",".join(f"s{k}" for k in range(400))
+    texts = ",".join(["S/N: 1"] * 400)
+    path = tmp_path / "wide.csv"
+    rows = [f"{k},{k**2},{texts}\n" for k in range(5)]
+    path.write_text(f"t,q,{names}\n{''.join(rows)}")
+    with processor_time(2 * SECONDS):
+        assert [one.said for one in survey(path).columns][-1] == 'text: "S/N: 1"'

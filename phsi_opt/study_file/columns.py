@@ -4,6 +4,7 @@ A column is meant to be numeric where most of its cells are numbers: then a cell
 none is a mistake in the file, and it is reported with its line.
 """
 
+import re
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -37,6 +38,7 @@ DAYS = (  # which ISO 8601 does not have
 )
 CLOCK_FORMATS = ("", " %H:%M", " %H:%M:%S", " %H:%M:%S.%f", " %I:%M:%S %p", " %I:%M %p")
 DATE_FORMATS = tuple(f"{day}{clock}" for day in DAYS for clock in CLOCK_FORMATS)
+TWO_NUMBERS = re.compile(r"\d\D+\d|\d{6}")  # every date has a day and a year
 DATE_WORDS = words_in("date datum datetime timestamp zeitstempel")
 COUNTER_WORDS = words_in("no nr number sample index count scan row line point")
 
@@ -302,10 +304,11 @@ def _shown(cell: str) -> str:
 def _look_at_texts(column: Column) -> str:
     """What is in a column of dates, or of texts, which are left out."""
     cells = column.cells[~column.is_missing]
-    column.take_dates_of(cells)
     some = cells[:50]  # more would tell nothing else
-    if column.date_format or _share_of_dates(some, "mixed") > MOSTLY:
-        return DATES
+    if some.str.contains(TWO_NUMBERS).mean() > MOSTLY:
+        column.take_dates_of(cells)
+        if column.date_format or _share_of_dates(some, "mixed") > MOSTLY:
+            return DATES
     different = some.unique()
     more = ", ..." if len(different) > 3 else ""
     return f"text: {', '.join(map(_shown, different[:3]))}{more}"
