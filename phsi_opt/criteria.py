@@ -63,6 +63,8 @@ MOST_REFITTED = 3
 # Share of the squared error above the noise floor that does as well: of the force on a
 # measured machine most may be weather, people and gearing.
 LEAST_ERROR_EXPLAINED = 0.3
+# And below which an effect is no finding, whatever share of the force it takes over.
+LEAST_FINDING = 0.05
 
 # Sampling intervals below which a delay may be an input that does otherwise between its
 # samples than was said: steps that are interpolated act half a sample too early. Two

@@ -15,7 +15,6 @@ from phsi_opt.criteria import THOROUGH_ITERATIONS
 from phsi_opt.diagnosis import conclusion, diagnose, refit
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.data_causes import DataCause
-from phsi_opt.diagnosis.ranking import NO_EVIDENCE
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.model.catalogue import effect_named
@@ -82,30 +81,32 @@ class Case:
     larger: Mapping[str, DiagnosedModel | None] = field(default_factory=dict)
     # A re-fit made thorough, where it is another.
     thorough: DiagnosedModel | None = None
-    # Beside the first; None: there is no evidence beside it.
-    second: list[Candidate] | None = field(default_factory=list)
+    # What is decisive only from a second place.
+    again: list[Candidate] = field(default_factory=list)
+    # What a search finds besides: effects, their log evidence, and what each is worth.
+    several: list[tuple[tuple[ph.Effect, ...], float, tuple[float, ...]]] = field(
+        default_factory=list
+    )
+    alike: dict[str, list[ph.Effect]] = field(default_factory=dict)
+    force_left: float = 0.0  # beside several
     alone: float | None = -100.0  # log evidence without a force; None: not found
     function: float | None = None  # of an unknown function of q
 
     def concluded(self, monkeypatch: pytest.MonkeyPatch) -> ph.Diagnosis:
-        rankings = iter([self.candidates, self.second])
         record = SimpleNamespace(
             base=SimpleNamespace(
                 log_evidence=0.0,
                 disturbances=SimpleNamespace(forces=[SimpleNamespace(place=1)]),
             ),
-            without_force=self.without_force,
+            fitted=self.fitted,
             with_functions=self.with_functions,
         )
-
-        def ranked(*_: Any) -> tuple[Any, list[Candidate]]:
-            ranking = next(rankings)
-            if ranking is None:
-                raise SolveError("no such states")
-            return record, list(ranking)
-
-        monkeypatch.setattr(DiagnosedModel, "evidence_record", lambda _: record)
-        monkeypatch.setattr(conclusion, "ranked", ranked)
+        ranking = SimpleNamespace(record=record, candidates=list(self.candidates))
+        monkeypatch.setattr(conclusion, "ranked", lambda *_: ranking)
+        monkeypatch.setattr(
+            conclusion, "rank_again", lambda *_: ranking.candidates.extend(self.again)
+        )
+        monkeypatch.setattr(conclusion, "Search", lambda *_: self.search())
         monkeypatch.setattr(conclusion, "refit", self.refit)
         monkeypatch.setattr(
             conclusion, "thorough_refit", lambda larger: self.thorough or larger
@@ -118,7 +119,21 @@ class Case:
     def refit(self, base: DiagnosedModel, one: Candidate) -> DiagnosedModel | None:
         return self.larger.get(one.name, fitted(run(1.05, p=0.5)))
 
-    def without_force(self, comparisons: Sequence[Any]) -> Any:
+    def search(self) -> Any:
+        found = []
+        for effects, evidence, worth in self.several:
+            known = {"effects": effects, "log_evidence": evidence, "worth": worth}
+            known["name"] = " and ".join(map(str, effects))
+            found.append(SimpleNamespace(force_left=self.force_left, **known))
+        return SimpleNamespace(
+            run=lambda: None,
+            in_order=lambda: found,
+            worth=lambda one: dict(zip(map(str, one.effects), one.worth, strict=True)),
+            alike=lambda one, name: self.alike.get(name, []),
+        )
+
+    def fitted(self, comparisons: Sequence[Any], has_force: bool) -> Any:
+        assert not has_force
         if self.alone is None:
             raise SolveError("no such states")
         return SimpleNamespace(log_evidence=self.alone)
@@ -272,7 +287,7 @@ def test_an_effect_beside_which_a_force_is_evident_is_partly_named(monkeypatch) 
         assert bool(found.findings) == is_enough
     assert found.verdict == UNEXPLAINED and found.proposed == ()
     assert found.reason == (
-        "the nearest is viscous damping on p (2.10 +- 0.20; log evidence 20.0): the "
+        "the nearest is viscous damping on p (2.10 +- 0.20 N; log evidence 20.0): the "
         "training error falls from 10.0 to 9.00 m, noise floor 1 m. It is not named: "
         "it explains only 48 % of what is missing (mean square) and 19 % of the error"
     )
@@ -286,42 +301,72 @@ def test_an_effect_beside_which_a_force_is_evident_is_partly_named(monkeypatch) 
     )
 
 
-def test_two_effects_are_named_that_explain_enough_together_alone(monkeypatch) -> None:
-    larger = {str(DAMPER): fitted(run(9.5)), str(SPRING): fitted(run(1.05, p=0.5))}
-    first, second = candidate(DAMPER, 20.0, force_left=0.9), candidate(SPRING, 9.0)
-    others = [candidate(SPRING, 6.0), candidate(PUSH, 1.0)]
-    case = Case([first, *others], larger=larger, second=[second], alone=None)
+def test_effects_are_named_that_explain_enough_together_alone(monkeypatch) -> None:
+    larger = {
+        str(DAMPER): fitted(run(9.5)),
+        f"{DAMPER} and {SPRING}": fitted(run(1.05, p=0.5)),
+    }
+    first = candidate(DAMPER, 20.0, force_left=0.9)
+    ranking = [first, candidate(SPRING, 6.0), candidate(PUSH, 1.0)]
+    both = ((DAMPER, SPRING), 29.0, (23.0, 25.0))
+    case = Case(ranking, larger=larger, several=[both], alone=None)
+    case = replace(case, alike={str(DAMPER): [FRICTION]})
     found = case.concluded(monkeypatch)
-    assert (found.verdict, found.proposed) == (NAMED, (DAMPER, SPRING))
-    assert [one.effects for one in found.findings] == [(DAMPER,), (SPRING,)]
+    # What is worth more comes first, with what the data do not tell from each.
+    assert (found.verdict, found.proposed) == (NAMED, (SPRING, DAMPER))
+    assert [one.effects for one in found.findings] == [(SPRING,), (DAMPER, FRICTION)]
     assert [str(effect) for effect in found.effects] == list(
-        map(str, (DAMPER, SPRING, PUSH))
+        map(str, (SPRING, DAMPER, PUSH))
     )
-    assert found.ranking[1].log_evidence == 9.0
-    assert found.reason.startswith(
-        "viscous damping on p (2.10 +- 0.20 N) and cubic stiffness on p (2.10 +- 0.20 N); "
-    )
-    # Without a second that is decisive, the first is not named.
-    case = replace(case, second=[replace(second, log_bayes=3.0)])
-    assert case.concluded(monkeypatch).findings == ()
+    assert [one.log_evidence for one in found.ranking[:2]] == [25.0, 23.0]
+    assert found.ranking[0].fit is found.ranking[1].fit is found.proposed_fit
+    assert found.reason.startswith("cubic stiffness on p (2.10 +- 0.20 N) and a loss")
+    assert found.reason.endswith("decisive evidence (log evidence 29.0)")
+    # Each must be decisive beside the other, and both decisively likelier than one.
+    for evidence, worth in ((29.0, (23.0, 4.5)), (24.5, (23.0, 25.0))):
+        case = replace(case, several=[((DAMPER, SPRING), evidence, worth)])
+        assert case.concluded(monkeypatch).findings == ()
     said: list[str] = []
-    case = replace(case, second=None, base=replace(case.base, say=said.append))
-    assert case.concluded(monkeypatch).findings == ()
-    assert said == [f"no second effect is considered: {NO_EVIDENCE}"]
-
-
-@pytest.mark.parametrize(("effect", "percent"), [(SPRING, 64), (OFFSET, 36)])
-def test_what_two_effects_take_over_of_a_force(effect, percent, monkeypatch) -> None:
-    # Of one force what each leaves multiplies; of two, the larger rest counts.
-    larger = {str(DAMPER): fitted(run(9.5)), str(effect): fitted(run(7.0))}
-    first = candidate(DAMPER, 20.0, force_left=0.8)
-    second = [candidate(effect, 9.0, force_left=0.75)]
-    case = Case(
-        [first, candidate(effect, 1.0)], larger=larger, second=second, alone=None
+    base = replace(case.base, say=said.append)
+    case = replace(
+        case, several=[both], base=base, larger={**larger, both_name(): None}
     )
+    assert case.concluded(monkeypatch).findings == ()
+    assert said == [
+        f"{both_name()} together are not considered: could not be re-fitted"
+    ]
+
+
+def both_name() -> str:
+    return f"{DAMPER} and {SPRING}"
+
+
+def test_what_effects_take_over_of_a_force(monkeypatch) -> None:
+    larger = {str(DAMPER): fitted(run(9.5)), both_name(): fitted(run(7.0))}
+    ranking = [candidate(DAMPER, 20.0, force_left=0.8), candidate(SPRING, 1.0)]
+    both = ((DAMPER, SPRING), 29.0, (23.0, 25.0))
+    case = Case(ranking, larger=larger, several=[both], force_left=0.6, alone=None)
     found = case.concluded(monkeypatch)
     assert found.verdict == PARTLY_NAMED
-    assert f"It accounts for {percent} % of what is missing" in found.reason
+    assert "It accounts for 64 % of what is missing" in found.reason
+
+
+def test_an_effect_that_is_decisive_from_its_own_fit_alone_is_found(
+    monkeypatch,
+) -> None:
+    case = Case([candidate(DAMPER, 1.0)], again=[candidate(SPRING, 9.0)])
+    assert case.concluded(monkeypatch).proposed == (SPRING,)
+    # Where nothing is missing nobody asks.
+    noise = fitted(run(1.0, p=0.5))
+    assert replace(case, base=noise).concluded(monkeypatch).verdict == NOTHING
+
+
+def test_an_effect_that_removes_next_to_nothing_is_no_finding(monkeypatch) -> None:
+    # Of the error of 10 m above the noise it leaves 9.75, or 9.7.
+    for error, is_named in ((9.755, False), (9.74, True)):
+        larger = {str(DAMPER): fitted(run(error))}
+        case = Case([candidate(DAMPER, 20.0)], larger=larger, alone=20.0)
+        assert bool(case.concluded(monkeypatch).findings) == is_named
 
 
 # ---- not named
@@ -367,33 +412,32 @@ def test_what_a_study_would_add_is_judged_and_not_the_brief_re_fit(monkeypatch) 
     assert lost(case.concluded(monkeypatch))[str(DAMPER)] == worse
 
 
-def test_two_effects_with_a_larger_error_are_not_named(monkeypatch) -> None:
-    # Even where no force is evident beside both of them.
+def test_effects_with_a_larger_error_are_not_named(monkeypatch) -> None:
+    # Even where no force is evident beside them.
     base = fitted(run(10.0), run(10.0))
-    first, second = candidate(DAMPER, 20.0, force_left=0.9), candidate(SPRING, 9.0)
-    for error, are_named in ((9.9, True), (10.1, False)):
+    ranking = [candidate(DAMPER, 20.0, force_left=0.9), candidate(SPRING, 6.0)]
+    both = ((DAMPER, SPRING), 29.0, (23.0, 25.0))
+    for error, are_named in ((9.0, True), (10.1, False)):
         larger = {
-            str(DAMPER): fitted(run(9.5), run(9.5)),
-            str(SPRING): fitted(run(2.0), run(error)),
+            str(DAMPER): fitted(run(9.8), run(9.8)),
+            both_name(): fitted(run(2.0), run(error)),
         }
-        case = Case(
-            [first, candidate(SPRING, 6.0)], base, larger, second=[second], alone=10.0
-        )
+        case = Case(ranking, base, larger, several=[both], alone=10.0)
         assert bool(case.concluded(monkeypatch).findings) == are_named
 
 
 def test_a_wave_that_leaves_more_is_not_named(monkeypatch) -> None:
-    larger = {str(WAVE): fitted(run(2.0)), str(DAMPER): fitted(run(2.0))}
+    larger = {str(WAVE): fitted(run(2.0)), f"{DAMPER} and {WAVE}": fitted(run(2.0))}
     wave = Case([candidate(WAVE, 20.0)], larger=larger, alone=None)
     found = wave.concluded(monkeypatch)
     doubt = "more is missing, and every function of time contains such waves"
     assert found.verdict == UNEXPLAINED and lost(found)[str(WAVE)] == doubt
     assert replace(wave, alone=19.0).concluded(monkeypatch).verdict == NAMED
-    # Nor as the second of two.
+    # Nor as one of several.
     larger[str(DAMPER)] = fitted(run(9.5))
-    first = candidate(DAMPER, 20.0, force_left=0.9)
-    both = [first, candidate(WAVE, 1.0)]
-    case = Case(both, larger=larger, second=[candidate(WAVE, 9.0)], alone=None)
+    ranking = [candidate(DAMPER, 20.0, force_left=0.9), candidate(WAVE, 1.0)]
+    both = ((DAMPER, WAVE), 29.0, (23.0, 25.0))
+    case = Case(ranking, larger=larger, several=[both], alone=None)
     assert case.concluded(monkeypatch).findings == ()
 
 

@@ -218,14 +218,14 @@ def test_no_force_is_needed_where_nothing_is_missing() -> None:
     data = measured("0.1")
     fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), data)
     record = record_of("0.1")
-    alone = record.without_force([ph.compare(fit, data)])
+    alone = record.fitted([ph.compare(fit, data)], has_force=False)
     assert alone.force_share(1) == 0
     gain = record.base.log_evidence - alone.log_evidence
     assert gain < DECISIVE_EVIDENCE
     lossy = measured(LOSSES["quadratic drag"])
     fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), lossy)
     record = record_of(LOSSES["quadratic drag"])
-    alone = record.without_force([ph.compare(fit, lossy)])
+    alone = record.fitted([ph.compare(fit, lossy)], has_force=False)
     assert record.base.log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
 
 

@@ -116,6 +116,11 @@ class Candidate:
         return str(self.effect)
 
     @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effect, as a model of a search has several."""
+        return (self.effect,)
+
+    @property
     def size(self) -> Size:
         """The coefficient with its standard error and unit."""
         return Size(self.coefficient, self.std_error, self.unit)

@@ -1,12 +1,13 @@
-"""The verdict of a diagnosis: is it there, which law is it, how much does it explain.
+"""The verdict of a diagnosis: is it there, which laws are it, how much do they explain.
 
 *Is it there*: an effect whose evidence is decisive beside a force that could have done
-the same. *Which law*: the effects that the evidence does not tell from it are a class.
-*How much*: a re-fit's free runs, and whether a force remains evident beside it.
+the same; where one does not explain what is missing, a search takes several together.
+*Which law*: the effects that the evidence does not tell from it are a class. *How
+much*: a re-fit's free runs, and whether a force remains evident beside it.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from phsi_opt.comparison.compare import (
 from phsi_opt.criteria import (
     DECISIVE_EVIDENCE,
     LEAST_ERROR_EXPLAINED,
+    LEAST_FINDING,
     MOST_OF_IT,
     MOST_REFITTED,
     STRONG_EVIDENCE,
@@ -35,23 +37,24 @@ from phsi_opt.diagnosis.candidate import (
     class_of,
 )
 from phsi_opt.diagnosis.data_causes import data_cause
-from phsi_opt.diagnosis.ranking import NO_EVIDENCE, ranked
+from phsi_opt.diagnosis.ranking import Ranking, rank_again, ranked
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.diagnosis.refit import DiagnosedModel, refit, thorough_refit
+from phsi_opt.diagnosis.refit import DiagnosedModel, Weighted, refit, thorough_refit
+from phsi_opt.diagnosis.search import Search
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
 WEAK = "its evidence is only"  # begins why an effect is rejected that is not decisive
+UNSURE = "its size, {}, does not differ significantly from zero"
 
 
 def concluded(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
 ) -> Diagnosis:
     """The diagnosis of a model, with evidence beside a record, by these effects."""
-    record, ranking = ranked(base, record, effects)
-    return _Judge(base, record, effects, ranking).concluded()
+    return _Judge(base, effects, ranked(base, record, effects)).concluded()
 
 
 def without_evidence(base: DiagnosedModel, error: SolveError) -> Diagnosis:
@@ -62,155 +65,224 @@ def without_evidence(base: DiagnosedModel, error: SolveError) -> Diagnosis:
     return _diagnosis(base, (), verdict, f"{base.error_words}; {said}")
 
 
+@dataclass(frozen=True, eq=False)
+class _Proposal:
+    """Effects that may be named, and the base re-fitted with them."""
+
+    effects: tuple[Effect, ...]
+    log_evidence: float  # over the base
+    force_left: float  # size of the force over that beside the base
+    larger: DiagnosedModel
+    is_complete: bool  # whether no force is evident beside the re-fit
+    # Of several effects, by name: the evidence that is lost without each, most first,
+    # and what the data do not tell from it.
+    worth: Mapping[str, float] = field(default_factory=dict)
+    alike: Mapping[str, Sequence[Effect]] = field(default_factory=dict)
+
+    @property
+    def of_force(self) -> float:
+        """Share of the missing force (mean square) that they take over."""
+        return max(1 - self.force_left**2, 0.0)
+
+
 @dataclass(eq=False)
 class _Judge:
     """One diagnosis on the way to its verdict."""
 
-    # ``is_complete`` is whether no force is evident beside the re-fit with the first
-    # effect of the ranking, once that is known.
-
     base: DiagnosedModel
-    record: EvidenceRecord
     effects: Sequence[Effect]
-    ranking: list[Candidate]
-    is_complete: bool | None = None
+    ranking: Ranking
+    refits: dict[str, DiagnosedModel] = field(default_factory=dict)
 
     def concluded(self) -> Diagnosis:
-        larger = self.first()
-        if larger is None:
-            return self.without_effect()
-        doubt = self.doubt(larger)
-        if not doubt:
-            return self.named(larger)
-        both = self.second(larger)
-        if both is None:
-            return self.not_named(larger, doubt)
-        return self.named(*both)
+        single = self.single()
+        if single is None or not single.is_complete:
+            if single is None and not self.is_something_missing():
+                return self.without_effect(Verdict.NOTHING_MISSING)
+            rank_again(self.base, self.ranking, self.effects)
+            single = self.single()
+        proposals = [] if single is None else [single]
+        if single is None or not single.is_complete:
+            proposals = [*filter(None, [self.several(single)]), *proposals]
+        doubts = list(map(self.doubt, proposals))
+        for proposal, doubt in zip(proposals, doubts, strict=True):
+            if not doubt:
+                return self.named(proposal)
+        if single is None:
+            return self.without_effect(Verdict.UNEXPLAINED)
+        return self.not_named(single, doubts[-1])
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """The ranking, the likeliest first."""
+        return self.ranking.candidates
 
     # ---- effects ---------------------------------------------------------------------
 
     def note(self, place: int, **known: Any) -> None:
         """Replace a candidate of the ranking by one of which more is known."""
-        self.ranking[place] = replace(self.ranking[place], **known)
+        self.candidates[place] = replace(self.candidates[place], **known)
 
-    def first(self) -> DiagnosedModel | None:
-        """The base with an effect that is decisive; this is put first."""
+    def single(self) -> _Proposal | None:
+        """An effect that is decisive; this is put first."""
         # Of those that the evidence does not tell from the likeliest the one with
         # fewest unknowns, and that the catalogue has first.
         while tied := self.tied():
             tied.sort(key=lambda one: self.effects.index(one.effect))
             simplest = min(tied, key=lambda one: one.effect.n_unknowns)
-            place = self.ranking.index(simplest)
+            place = self.candidates.index(simplest)
             # Judged is what a study would add.
             larger = self.refit(place, thorough=True)
             if larger is not None:
-                self.ranking.insert(0, self.ranking.pop(place))
-                return larger
+                one = self.candidates.pop(place)
+                self.candidates.insert(0, one)
+                is_complete = self.explains_all(one.log_evidence, larger)
+                return _Proposal(
+                    one.effects, one.log_evidence, one.force_left, larger, is_complete
+                )
         return None
 
     def tied(self) -> list[Candidate]:
         """Effects that the evidence does not tell from the likeliest."""
         # None where all of them together are not decisive: one of them is there if the
         # sum of their odds says so.
-        believed = [one for one in self.ranking if one.was_weighed and not one.lost]
+        believed = [one for one in self.candidates if one.was_weighed and not one.lost]
         highest = max((one.log_evidence for one in believed), default=-np.inf)
         least = highest - STRONG_EVIDENCE
         tied = [one for one in believed if one.log_evidence > least]
         together = np.logaddexp.reduce([one.log_evidence for one in tied])
         return tied if together >= DECISIVE_EVIDENCE else []
 
+    def several(self, single: _Proposal | None) -> _Proposal | None:
+        """Effects that are together decisively likelier than one, each needed."""
+        search = Search(self.base, self.ranking, self.effects)
+        search.run()
+        n_refitted = 0
+        least = DECISIVE_EVIDENCE + (0.0 if single is None else single.log_evidence)
+        for one in search.in_order():
+            if one.log_evidence < least or n_refitted == MOST_REFITTED:
+                break
+            worth = search.worth(one)
+            if len(worth) == 1 or min(worth.values()) < DECISIVE_EVIDENCE:
+                continue
+            n_refitted += 1
+            larger = self.refitted(one, thorough=True)
+            if isinstance(larger, str):
+                self.base.say(f"{one.name} together are not considered: {larger}")
+                continue
+            return _Proposal(
+                tuple(sorted(one.effects, key=lambda effect: -worth[str(effect)])),
+                one.log_evidence,
+                one.force_left,
+                larger,
+                self.explains_all(one.log_evidence, larger),
+                worth,
+                {name: search.alike(one, name) for name in worth},
+            )
+        return None
+
     def refit(self, place: int, thorough: bool) -> DiagnosedModel | None:
         """The base with a candidate; None where that rejects it."""
-        one = self.ranking[place]
+        one = self.candidates[place]
+        if one.fit is not None:
+            return self.refits[one.name]
         if not one.size.z >= SURE_DEVIATIONS:
-            self.note(
-                place,
-                lost=f"its size, {one.size}, does not differ significantly from zero",
-            )
+            self.note(place, lost=UNSURE.format(one.size))
             return None
-        larger = refit(self.base, one)
-        if larger is None:
-            self.note(place, lost="could not be re-fitted")
+        larger = self.refitted(one, thorough)
+        if isinstance(larger, str):
+            self.note(place, lost=larger)
             return None
-        if thorough:
-            larger = thorough_refit(larger)
-        new = new_names(self.base.fit.model, one.effect, larger.fit.names)
-        lost = at_limit(larger.fit.model, new, larger.fit.outcome.at_bounds)
-        if lost:
-            self.note(place, lost=lost)
-            return None
-        found = fitted_size(self.base.fit.model, larger.fit, one.effect)
-        self.note(
-            place,
-            coefficient=found.value,
-            std_error=found.std_error,
-            fit=larger.fit,
-            trained=larger.trained,
-            comparison=larger.judged,
-            train_rmse=larger.trained.rmse,
-            held_out_rmse=larger.judged.rmse if self.base.is_held_out else np.nan,
-            share=self.base.share_explained(larger),
-        )
+        self.note(place, **self.as_fitted(one.effect, larger))
+        self.refits[one.name] = larger
         return larger
 
-    def second(self, larger: DiagnosedModel) -> "tuple[DiagnosedModel, _Judge] | None":
-        """The re-fit with a second effect and its judge, where both explain enough."""
-        others = [one.effect for one in self.ranking[1:]]
-        try:
-            record, ranking = ranked(larger, larger.evidence_record(), others)
-            second = _Judge(larger, record, others, ranking)
-        except SolveError:
-            self.base.say(f"no second effect is considered: {NO_EVIDENCE}")
-            return None
-        both = second.first()
-        return None if both is None or self.doubt(both, second) else (both, second)
+    def refitted(self, one: Weighted, thorough: bool) -> DiagnosedModel | str:
+        """The base with effects that were weighed; or why they are rejected."""
+        larger = refit(self.base, one)
+        if larger is None:
+            return "could not be re-fitted"
+        if thorough:
+            larger = thorough_refit(larger)
+        base, fit = self.base.fit.model, larger.fit
+        for effect in one.effects:
+            new = new_names(base, effect, fit.names)
+            lost = at_limit(fit.model, new, fit.outcome.at_bounds)
+            size = fitted_size(base, fit, effect)
+            if lost or not size.z >= SURE_DEVIATIONS:
+                return lost or UNSURE.format(size)
+        return larger
+
+    def as_fitted(self, effect: Effect, larger: DiagnosedModel) -> dict[str, Any]:
+        """What a re-fit tells of one of its effects."""
+        size = fitted_size(self.base.fit.model, larger.fit, effect)
+        return {
+            "coefficient": size.value,
+            "std_error": size.std_error,
+            "unit": size.unit,
+            "fit": larger.fit,
+            "trained": larger.trained,
+            "comparison": larger.judged,
+            "train_rmse": larger.trained.rmse,
+            "held_out_rmse": larger.judged.rmse if self.base.is_held_out else np.nan,
+            "share": self.base.share_explained(larger),
+        }
 
     # ---- doubts ----------------------------------------------------------------------
 
-    def doubt(self, larger: DiagnosedModel, second: "_Judge | None" = None) -> str:
-        """Why what is decisive is not named, alone or with another; empty: it is."""
-        first = self.ranking[0]
-        effects = [first.effect]
-        if second is not None:
-            effects.append(second.ranking[0].effect)
+    def doubt(self, proposal: _Proposal) -> str:
+        """Why what is decisive is not named; empty: it is."""
+        larger = proposal.larger
         steps = self.steps_in_words()
         if steps and is_small_as_noise(larger.trained):
             return f"the cause may also be {steps}"
         if self.is_worse(larger):
             return "its free-run error is larger than without it"
-        if (second or self).explains_all(larger):
-            return ""
-        if any(is_wave(effect) and effect.needs_clock for effect in effects):
-            return "more is missing, and every function of time contains such waves"
-        of_force = self.of_force(second)
         share = self.base.share_explained(larger)
-        if of_force < MOST_OF_IT and not share > LEAST_ERROR_EXPLAINED:
+        is_small = is_failing(self.base.judged) and share < LEAST_FINDING
+        if proposal.is_complete and not is_small:
+            return ""
+        of_time = [is_wave(one) and one.needs_clock for one in proposal.effects]
+        if any(of_time):
+            return "more is missing, and every function of time contains such waves"
+        is_large = proposal.of_force >= MOST_OF_IT or share > LEAST_ERROR_EXPLAINED
+        if is_small or not is_large:
             return (
-                f"it explains only {100 * of_force:.0f} % of what is missing (mean "
-                f"square) and {100 * max(0.0, share):.0f} % of the error"
+                f"it explains only {100 * proposal.of_force:.0f} % of what is missing "
+                f"(mean square) and {100 * max(0.0, share):.0f} % of the error"
             )
-        return self.rival(first)
+        return self.rival(proposal)
 
     def is_worse(self, larger: DiagnosedModel) -> bool:
         """Whether a free run is farther off than the base's, and not by noise."""
         pairs = zip(self.base.comparisons, larger.comparisons, strict=True)
         return any(is_failing(new) and new.rmse > old.rmse for old, new in pairs)
 
-    def explains_all(self, larger: DiagnosedModel) -> bool:
-        """Whether no force is evident beside a re-fit; worked out once."""
-        if self.is_complete is None:
-            is_small = is_explained(self.base.judged, larger.trained, larger.judged)
-            gain = self.ranking[0].log_evidence + self.record.base.log_evidence
-            self.is_complete = is_small or not self.is_force_evident(gain, larger)
-        return self.is_complete
+    def explains_all(self, log_evidence: float, larger: DiagnosedModel) -> bool:
+        """Whether no force is evident beside a re-fit."""
+        if is_explained(self.base.judged, larger.trained, larger.judged):
+            return True
+        return not self.is_force_evident(log_evidence, larger)
 
-    def is_force_evident(self, log_evidence: float, model: DiagnosedModel) -> bool:
-        """Whether a model is decisively likelier with a force than without."""
+    def is_force_evident(self, gain: float, model: DiagnosedModel) -> bool:
+        """Whether a model is decisively likelier with a force than without.
+
+        With a force it is likelier than the base by a ``gain``.
+        """
+        record = self.ranking.record
         try:
-            alone = self.record.without_force(model.comparisons)
+            alone = record.fitted(model.comparisons, has_force=False)
         except SolveError:
             return True
+        log_evidence = gain + record.base.log_evidence
         return log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
+
+    def is_something_missing(self) -> bool:
+        """Whether the base fails, or a force is evident beside it."""
+        base = self.base
+        is_far = any(map(is_surely_failing, base.comparisons))
+        is_far = is_far and base.record.is_of_training  # else parameters may be off
+        return not base.is_noise and (is_far or self.is_force_evident(0.0, base))
 
     def steps_in_words(self) -> str:
         """Steps of sensors that are coarser than the motion; empty: there are none."""
@@ -222,80 +294,77 @@ class _Judge:
             "is less than one step"
         )
 
-    def of_force(self, second: "_Judge | None" = None) -> float:
-        """Share of the force (mean square) that the first takes over, or both."""
-        first = self.ranking[0]
-        remains = first.force_left
-        if second is not None:
-            other = second.ranking[0]
-            is_one_force = other.effect.equation == first.effect.equation
-            product = remains * other.force_left
-            remains = product if is_one_force else max(remains, other.force_left)
-        return max(1 - remains**2, 0.0)
-
-    def rival(self, first: Candidate) -> str:
+    def rival(self, proposal: _Proposal) -> str:
         """A law of no catalogue that is far likelier; empty where there is none."""
-        model = self.base.fit.model
-        name = first.effect.equation
+        record, model = self.ranking.record, self.base.fit.model
+        first = proposal.effects[0]
+        name = first.equation
         equation = model.index(name)
-        alone = self.record.base
+        alone = record.base
         places = [force.place for force in alone.disturbances.forces]
-        if first.effect.slot == "sensor" or equation not in places:
+        if first.slot == "sensor" or equation not in places:
             return ""
-        function = self.record.with_functions(equation)
+        function = record.with_functions(equation)
         if function is None:
             return ""
         gain = function.log_evidence - alone.log_evidence
-        if not first.log_evidence < MOST_OF_IT * gain:
+        if not proposal.log_evidence < MOST_OF_IT * gain:
             return ""
         (kind,) = function.disturbances.functions
         return (
             f"an unknown function of {model.states[kind.state]} in d{name}/dt is more "
-            f"likely (log evidence {gain:.1f} against {first.log_evidence:.1f})"
+            f"likely (log evidence {gain:.1f} against {proposal.log_evidence:.1f})"
         )
 
     # ---- verdicts --------------------------------------------------------------------
 
-    def named(
-        self, larger: DiagnosedModel, second: "_Judge | None" = None
-    ) -> Diagnosis:
-        judges = [self] if second is None else [self, second]
-        findings = tuple(judge.finding(larger) for judge in judges)
-        is_complete = judges[-1].explains_all(larger)
-        if second is not None:
-            first, *others = self.ranking
-            other = second.ranking[0]
-            others = [one for one in others if one.effect != other.effect]
-            self.ranking = [first, other, *others]
-        effects = tuple(finding.effects[0] for finding in findings)
-        self.reject_others(effects, [one for each in findings for one in each.effects])
+    def named(self, proposal: _Proposal) -> Diagnosis:
+        larger = proposal.larger
+        self.put_first(proposal)
+        findings = tuple(self.finding(proposal, effect) for effect in proposal.effects)
+        named = [effect for finding in findings for effect in finding.effects]
+        self.reject_others(proposal.effects, named)
         verdict = Verdict.NAMED
         said = " and ".join(map(str, findings))
-        one = self.ranking[0]
-        graded = f"{one.grade} evidence (log evidence {one.log_evidence:.1f})"
-        reason = f"{said}; {self.base.change_words(larger)}; {graded}"
-        if not is_complete:
+        reason = f"{said}; {self.base.change_words(larger)}; "
+        grade = Grade.of(proposal.log_evidence)
+        reason += f"{grade} evidence (log evidence {proposal.log_evidence:.1f})"
+        if not proposal.is_complete:
             verdict = Verdict.PARTLY_NAMED
             share = max(0.0, self.base.share_explained(larger))
             reason += (
-                f". It accounts for {100 * self.of_force(second):.0f} % of what is "
+                f". It accounts for {100 * proposal.of_force:.0f} % of what is "
                 f"missing (mean square) and {100 * share:.0f} % of the squared error "
                 "above the noise floor; more is missing"
             )
-        return self.diagnosis(verdict, reason, larger, findings, effects)
+        return self.diagnosis(verdict, reason, larger, findings, proposal.effects)
 
-    def finding(self, larger: DiagnosedModel) -> Finding:
-        """The first with those that the data do not tell from it, and its size."""
-        # The likeliest of these are re-fitted; one that a re-fit presses to a bound or
-        # to nothing is none of them.
-        names = {one.name for one in self.tied()}
-        others = enumerate(self.ranking[1:], 1)
-        places = [place for place, one in others if one.name in names]
-        for place in places[: MOST_REFITTED - 1]:
-            self.refit(place, thorough=False)
-        members = [self.ranking[place] for place in (0, *places)]
-        effects = tuple(one.effect for one in members if not one.lost)
-        size = fitted_size(self.base.fit.model, larger.fit, effects[0])
+    def put_first(self, proposal: _Proposal) -> None:
+        """Begin the ranking with what is named, of several with what each is worth."""
+        named = []
+        for effect in proposal.effects:
+            one = next(one for one in self.candidates if one.effect == effect)
+            self.candidates.remove(one)
+            if proposal.worth:
+                one = replace(
+                    one,
+                    **self.as_fitted(effect, proposal.larger),
+                    log_bayes=proposal.worth[one.name],
+                    log_predictive=np.nan,
+                    was_weighed=True,
+                    lost="",
+                )
+            named.append(one)
+        self.candidates[:0] = named
+
+    def finding(self, proposal: _Proposal, effect: Effect) -> Finding:
+        """An effect with those that the data do not tell from it, and its size."""
+        others = proposal.alike.get(str(effect), ())
+        if not proposal.worth:
+            others = self.members()
+        effects = (effect, *others)
+        larger = proposal.larger
+        size = fitted_size(self.base.fit.model, larger.fit, effect)
         return Finding(
             effects,
             class_of(effects),
@@ -305,28 +374,36 @@ class _Judge:
             size.unit,
         )
 
-    def not_named(self, larger: DiagnosedModel, doubt: str) -> Diagnosis:
+    def members(self) -> list[Effect]:
+        """Effects that the data do not tell from the first."""
+        # The likeliest of these are re-fitted; one that a re-fit presses to a bound or
+        # to nothing, or that explains nothing, is none of them.
+        names = {one.name for one in self.tied()}
+        others = enumerate(self.candidates[1:], 1)
+        places = [place for place, one in others if one.name in names]
+        for place in places[: MOST_REFITTED - 1]:
+            self.refit(place, thorough=False)
+        members = [self.candidates[place] for place in places]
+        return [one.effect for one in members if not one.lost and not one.share <= 0]
+
+    def not_named(self, single: _Proposal, doubt: str) -> Diagnosis:
         self.note(0, lost=doubt)
-        first = self.ranking[0]
+        first = self.candidates[0]
         self.reject_others((first.effect,))
         reason = (
             f"the nearest is {first.name} ({first.size}; log evidence "
-            f"{first.log_evidence:.1f}): {self.base.change_words(larger)}. "
+            f"{first.log_evidence:.1f}): {self.base.change_words(single.larger)}. "
             f"It is not named: {doubt}"
         )
         return self.diagnosis(Verdict.UNEXPLAINED, reason)
 
-    def without_effect(self) -> Diagnosis:
+    def without_effect(self, verdict: Verdict) -> Diagnosis:
         """Nothing is missing, or nothing known explains it."""
         base = self.base
         self.reject_others(())
-        log_evidence = self.record.base.log_evidence
-        is_far = any(map(is_surely_failing, base.comparisons))
-        is_far = is_far and base.record.is_of_training  # else parameters may be off
-        if base.is_noise or not (is_far or self.is_force_evident(log_evidence, base)):
+        if verdict == Verdict.NOTHING_MISSING:
             none = "there is no evidence of anything missing, and no effect is decisive"
-            reason = f"{base.error_words}; {none}"
-            return self.diagnosis(Verdict.NOTHING_MISSING, reason)
+            return self.diagnosis(verdict, f"{base.error_words}; {none}")
         reason = (
             f"{base.error_words}: there is evidence that something is missing, but no "
             "effect of the catalogue explains it"
@@ -334,7 +411,7 @@ class _Judge:
         steps = self.steps_in_words()
         if steps:
             reason += f"; it may be {steps}"
-        nearest = next((one for one in self.ranking if one.was_weighed), None)
+        nearest = next((one for one in self.candidates if one.was_weighed), None)
         if nearest is not None and nearest.grade != Grade.NONE:
             reason += f"; the nearest is {nearest.name}, but {nearest.lost}"
         return self.diagnosis(Verdict.UNEXPLAINED, reason)
@@ -343,8 +420,8 @@ class _Judge:
         self, named: Sequence[Effect], alike: Sequence[Effect] = ()
     ) -> None:
         """Why the other candidates are not named; some are alike for the data."""
-        first = self.ranking[0] if named else None
-        for place, one in enumerate(self.ranking):
+        first = self.candidates[0] if named else None
+        for place, one in enumerate(self.candidates):
             if one.lost or one.effect in named:
                 continue
             lost = f"{WEAK} {one.grade} ({one.log_evidence:.1f})"
@@ -360,7 +437,7 @@ class _Judge:
 
     def diagnosis(self, *parts: Any) -> Diagnosis:
         """The diagnosis of the base by its ranking, with the parts of `_diagnosis`."""
-        return _diagnosis(self.base, self.ranking, *parts)
+        return _diagnosis(self.base, self.candidates, *parts)
 
 
 def _diagnosis(

@@ -147,7 +147,7 @@ def candidate_of(
     """
     _check_effects([effect], trained.fit.model)
     base = DiagnosedModel.of(trained, None, loss)
-    _, found = ranked(base, base.evidence_record(), [effect])
+    found = ranked(base, base.evidence_record(), [effect]).candidates
     if not found:
         return None
     larger = refit(base, found[0])

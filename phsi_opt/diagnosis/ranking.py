@@ -1,15 +1,15 @@
 """The candidates, screened and weighed, the likeliest first."""
 
 from collections.abc import Sequence
-from contextlib import closing
-from dataclasses import replace
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from phsi_opt.criteria import FAR_BEHIND, FEWEST_WEIGHED, MOST_WEIGHED, STRONG_EVIDENCE
 from phsi_opt.diagnosis.candidate import Candidate, at_limit
-from phsi_opt.diagnosis.refit import DiagnosedModel
+from phsi_opt.diagnosis.refit import DiagnosedModel, refit
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
@@ -20,21 +20,107 @@ from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.sweep import Progress, ahead
 
 NO_EVIDENCE = "no states follow the measurements with it"
+# Leaders of a list of screening that are weighed from a second place.
+MOST_LEADERS = 4
+
+
+@dataclass(eq=False)
+class Ranking:
+    """The candidates beside one weighing of the base, the likeliest first."""
+
+    record: EvidenceRecord
+    # What screening expects of effects that leave a trace, best first, by their names.
+    screened: dict[str, Screened]
+    candidates: list[Candidate] = field(default_factory=list)
+    # What was weighed, by the name of the effect.
+    weighed: dict[str, Weighed] = field(default_factory=dict)
+
+    def price(self, one: Screened) -> float:
+        """Logarithm of what was tried: values of inner numbers, and effects."""
+        model = self.record.base.model
+        tried = float(np.log(one.n_tried * len(self.screened)))
+        if one.effect.needs_clock and not model.inputs:
+            # What nobody drives rarely knows the time: runs begun in phase look so.
+            tried += STRONG_EVIDENCE
+        return tried
+
+    def take(self, base: DiagnosedModel, one: Screened, weighed: Weighed) -> Candidate:
+        """Note what was weighed; the likelier of two counts."""
+        found = self._candidate(base, one, weighed)
+        for place, other in enumerate(self.candidates):
+            if other.effect == one.effect:
+                if other.was_weighed and other.log_evidence >= found.log_evidence:
+                    return other
+                del self.candidates[place]
+                break
+        self.candidates.append(found)
+        self.weighed[found.name] = weighed
+        return found
+
+    def _candidate(
+        self, base: DiagnosedModel, one: Screened, weighed: Weighed
+    ) -> Candidate:
+        alone = self.record.base
+        model = base.fit.model
+        # Those of its parameters that all trajectories share.
+        names = new_names(model, one.effect, weighed.names)
+        places = list(map(weighed.names.index, names))
+        within = weighed.covariance[np.ix_(places, places)]
+        size = size_of(one.effect, weighed.model, names, weighed.model.values, within)
+        size = size.in_unit(size_unit(model, one.effect, base.record.data.units))
+        equation = model.index(one.effect.equation)
+        held_out = np.nan
+        if base.is_held_out:
+            held_out = weighed.log_held_out - alone.log_held_out
+        gain = weighed.log_training - alone.log_training
+        return replace(
+            # At a bound: no record tells it, or a smaller law does as well.
+            _expected(base, one, at_limit(weighed.model, names, weighed.at_bounds)),
+            coefficient=size.value,
+            std_error=size.std_error,
+            values=weighed.model.values,
+            states=weighed.states[: self.record.n_fitted_nodes],
+            log_bayes=gain - self.price(one),
+            log_predictive=held_out,
+            was_weighed=True,
+            force_left=force_left(weighed, alone, [equation]),
+        )
+
+
+def force_left(weighed: Weighed, alone: Weighed, equations: Sequence[int]) -> float:
+    """Size of the force beside a model over that beside a smaller one, at most."""
+    left = []
+    for equation in equations:
+        before = max(alone.force_share(equation), TINY)
+        left.append(weighed.force_share(equation) / before)
+    return max(left)
+
+
+def screened_beside(
+    linearized: LinearizedRecord, effects: Sequence[Effect]
+) -> list[Screened]:
+    """What is expected of the effects that leave a trace in a record, best first."""
+    test = ScoreTest(linearized)
+    return sorted(filter(None, map(test.screened, effects)), key=lambda one: -one.gain)
 
 
 def ranked(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
-) -> tuple[EvidenceRecord, list[Candidate]]:
-    """The candidates, the likeliest first, and the record beside the likeliest base.
+) -> Ranking:
+    """The candidates, the likeliest first, beside the likeliest weighing of the base.
 
     Screening tells which of them may gain anything; these are weighed. Where the base
     is likelier from where the likeliest of them ended, all begins again from there.
     """
     while True:  # the evidence of the base rises each time
-        candidates, likeliest = _ranked_beside(base, record, effects)
-        better = None if likeliest is None else record.better_from(likeliest)
+        ranking = _ranked_beside(base, record, effects)
+        first = ranking.candidates[:1]
+        gaining = [one for one in first if one.was_weighed and one.log_evidence > 0]
+        if not gaining:
+            return ranking
+        better = record.better_from(ranking.weighed[gaining[0].name])
         if better is None:
-            return record, candidates
+            return ranking
         base.say(
             "a better optimum of the model was found with the most likely "
             "effect; screening again"
@@ -44,20 +130,17 @@ def ranked(
 
 def _ranked_beside(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
-) -> tuple[list[Candidate], Weighed | None]:
-    """All candidates beside one weighing of the base, and the likeliest that gains."""
+) -> Ranking:
+    """All candidates beside one weighing of the base."""
     base.say(f"screening {len(effects)} candidate effects")
-    test = ScoreTest(LinearizedRecord.beside_force(record))
-    tested = map(test.screened, effects)
-    screened = sorted(filter(None, tested), key=lambda one: -one.gain)
+    screened = screened_beside(LinearizedRecord.beside_force(record), effects)
+    ranking = Ranking(record, {str(one.effect): one for one in screened})
     n_gaining = sum(one.gain > 0 for one in screened)
     chosen = screened[: int(np.clip(n_gaining, FEWEST_WEIGHED, MOST_WEIGHED))]
     cases = {str(place): one for place, one in enumerate(chosen)}
-    candidates: list[Candidate] = []
-    likeliest = None
     highest = 0.0
     worth = -np.inf
-    weigh = partial(_weighed, record)
+    weigh = partial(weighed_of, record)
     with closing(ahead(weigh, cases, base.executor, base.say)) as results:
         for one in chosen:
             if one.gain < worth:
@@ -67,23 +150,50 @@ def _ranked_beside(
             except SolveError:
                 base.say(f"{one.effect} is not considered: {NO_EVIDENCE}")
                 failed = _expected(base, one, NO_EVIDENCE)
-                candidates.append(replace(failed, log_bayes=np.nan))
+                ranking.candidates.append(replace(failed, log_bayes=np.nan))
                 continue
-            candidate = _candidate(base, record, one, weighed, len(screened))
-            candidates.append(candidate)
+            candidate = ranking.take(base, one, weighed)
             if candidate.log_evidence > highest:
                 highest = candidate.log_evidence
-                likeliest = weighed
                 worth = FAR_BEHIND * min(one.gain, candidate.log_evidence)
-    for one in screened[len(candidates) :]:
+    for one in screened[len(ranking.candidates) :]:
         lost = "its expected evidence is much smaller"
         if one.gain <= 0:
             lost = "it would explain no more than a random disturbance"
-        candidates.append(_expected(base, one, lost))
-    return _in_order(candidates), likeliest
+        ranking.candidates.append(_expected(base, one, lost))
+    ranking.candidates = _in_order(ranking.candidates)
+    return ranking
 
 
-def _weighed(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:
+def rank_again(
+    base: DiagnosedModel, ranking: Ranking, effects: Sequence[Effect]
+) -> None:
+    """Weigh what leads from a second place; the likelier of both counts.
+
+    Where a force does nearly everything, screening beside it sees little, and a search
+    that begins beside it may end anywhere. So what leads this list, and the list of the
+    base without a force, is weighed from the free run of a fit of its own too.
+    """
+    base.say("weighing the most likely effects from their own fits")
+    hard = screened_beside(LinearizedRecord.without_force(base.record), effects)
+    known = ranking.screened | {str(one.effect): one for one in hard}
+    first = [str(one.effect) for one in hard[:MOST_LEADERS]]
+    second = [one.name for one in ranking.candidates[:MOST_LEADERS]]
+    for name in dict.fromkeys(first + second):
+        one = known[name]
+        if name not in ranking.weighed:
+            with suppress(SolveError):
+                ranking.take(base, one, weighed_of(ranking.record, one, base.say))
+        larger = refit(base, _expected(base, one, ""))
+        if larger is not None:
+            with suppress(SolveError):
+                weighed = ranking.record.fitted(larger.comparisons, has_force=True)
+                ranking.take(base, one, weighed)
+    ranking.candidates = _in_order(ranking.candidates)
+
+
+def weighed_of(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:
+    """A candidate weighed from where it was screened."""
     say(f"computing the evidence of {one.effect}")
     return record.weighed(one.model, one.values)
 
@@ -99,44 +209,6 @@ def _expected(base: DiagnosedModel, one: Screened, lost: str) -> Candidate:
         values=one.values,
         log_bayes=one.gain,
         lost=lost,
-    )
-
-
-def _candidate(
-    base: DiagnosedModel,
-    record: EvidenceRecord,
-    one: Screened,
-    weighed: Weighed,
-    n_effects: int,
-) -> Candidate:
-    alone = record.base
-    model = base.fit.model
-    # Those of its parameters that all trajectories share.
-    names = new_names(model, one.effect, weighed.names)
-    places = list(map(weighed.names.index, names))
-    covariance = weighed.covariance[np.ix_(places, places)]
-    size = size_of(one.effect, weighed.model, names, weighed.model.values, covariance)
-    size = size.in_unit(size_unit(model, one.effect, base.record.data.units))
-    # What was tried is in the prior: values of inner numbers, and effects.
-    tried = float(np.log(one.n_tried * n_effects))
-    if one.effect.needs_clock and not model.inputs:
-        # What nobody drives rarely knows the time; runs begun in phase only look so.
-        tried += STRONG_EVIDENCE
-    equation = model.index(one.effect.equation)
-    forces = [found.force_share(equation) for found in (weighed, alone)]
-    held_out = weighed.log_held_out - alone.log_held_out if base.is_held_out else np.nan
-    # At a bound: no record tells it, or a smaller law does as well.
-    lost = at_limit(weighed.model, names, weighed.at_bounds)
-    return replace(
-        _expected(base, one, lost),
-        coefficient=size.value,
-        std_error=size.std_error,
-        values=weighed.model.values,
-        states=weighed.states[: record.n_fitted_nodes],
-        log_bayes=weighed.log_training - alone.log_training - tried,
-        log_predictive=held_out,
-        was_weighed=True,
-        force_left=forces[0] / max(forces[1], TINY),
     )
 
 

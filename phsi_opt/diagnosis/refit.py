@@ -3,11 +3,13 @@
 A re-fit begins where the effect was weighed and ends with free runs on both records.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import starmap
+from typing import Protocol
 
 import numpy as np
 
@@ -37,7 +39,8 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import fit_of_task, identify
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
-from phsi_opt.model.effect import is_delay, is_scanned
+from phsi_opt.model.effect import Effect, is_delay, is_scanned
+from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.presentation.numbers import change_words, decimal
 from phsi_opt.presentation.units import spaced
@@ -243,8 +246,28 @@ def _gain_beside(
     return both[0].log_evidence - both[1].log_evidence
 
 
-def refit(base: DiagnosedModel, candidate: Candidate) -> DiagnosedModel | None:
-    """The base model with an effect more, fitted; None where that fails, which is said.
+class Weighted(Protocol):
+    """Effects that were weighed together, and from where a re-fit with them begins."""
+
+    @property
+    def name(self) -> str:
+        """In words."""
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What the model is given."""
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Of the parameters of the model with them."""
+
+    @property
+    def states(self) -> np.ndarray | None:
+        """Along the training record, (n_nodes, n_states); None: those of the base."""
+
+
+def refit(base: DiagnosedModel, candidate: Weighted) -> DiagnosedModel | None:
+    """The base model with effects more, fitted; None where that fails, which is said.
 
     Its free runs are judged beside the noise and the starting states of the base.
     """
@@ -284,12 +307,12 @@ def thorough_refit(brief: DiagnosedModel) -> DiagnosedModel:
 class Refitting:
     """One larger model on the way from its start to a fit with its free runs."""
 
-    def __init__(self, base: DiagnosedModel, candidate: Candidate) -> None:
-        """The larger model, with the values beside which the effect was weighed."""
+    def __init__(self, base: DiagnosedModel, candidate: Weighted) -> None:
+        """The larger model, with the values beside which the effects were weighed."""
         self.base = base
         self.candidate = candidate
         estimate = base.record.estimate
-        model = base.fit.model.add(candidate.effect)
+        model = reduce(Model.add, candidate.effects, base.fit.model)
         model = resolve_guesses(model, estimate.grid, estimate.x)
         free = {n for n, entry in model.entries.items() if not entry.parameter.fixed}
         values = candidate.values.items()
@@ -313,7 +336,8 @@ class Refitting:
         known = {name: values[name] for name in model.free if name in values}
         # The fast part of a memory, that of a short delay, is not seen by steps as long
         # as the samples.
-        refinement = 2 if self.candidate.effect.memory else 1
+        has_memory = any(effect.memory for effect in self.candidate.effects)
+        refinement = 2 if has_memory else 1
         start = replace(
             base.fit,
             model=model.with_values(known),
@@ -321,9 +345,8 @@ class Refitting:
             noise=base.trained.noise,
             steps=tuple(refinement * steps for steps in base.fit.steps),
         )
-        new = corner_widths(self.model).keys() - model.entries.keys()
         task = Task(self.model, self.aligned, l1_weights(None), None, BRIEF)
-        task = replace(task, corners=tuple(sorted(new)))
+        task = replace(task, corners=tuple(corner_widths(self.model)))
         fit = fit_of_task(base.loss, task, start)
         if not base.record.is_of_training:
             return fit  # the base was fitted to other data
@@ -331,7 +354,7 @@ class Refitting:
             fit = thorough_fit(self.aligned, base.loss, fit)
         if not is_worse(fit, base.fit):
             return fit
-        small = with_no_size(model, self.candidate.effect)
+        small = with_no_size(model, *self.candidate.effects)
         fit = fit_of_task(base.loss, replace(task, model=small), base.fit)
         if is_worse(fit, base.fit):
             raise SolveError("no fit was found that is as good as the one without it.")
@@ -341,8 +364,8 @@ class Refitting:
         """The fit's free run; with finer steps where it leaves the fit's states."""
         record = self.base.record
         trained = compare_record(record.refitted(fit))
-        has_corner = is_scanned(self.candidate.effect) or corner_widths(fit.model)
-        may_stray = has_corner or fit.model.memory
+        is_wave = any(map(is_scanned, self.candidate.effects))
+        may_stray = is_wave or corner_widths(fit.model) or fit.model.memory
         if not may_stray or sum(map(np.sum, fit.steps)) > ONE_ATTEMPT_INTERVALS:
             return trained
         if distance_from_states(trained) < STRAYED_STATES:

@@ -326,6 +326,7 @@ class JointProblem:
             fall = target.fall * objectives[-1]
             is_short = is_whole and length * contraction < target.length
             has_converged = is_short and there.violation < SETTLED_VIOLATION
+            has_converged = has_converged and place.moves_all(aim)
             if place.objective - objectives[-1] < fall and length**2 / 2 < fall:
                 has_converged = True
             # No step is short beside a kink.
@@ -530,6 +531,17 @@ class _Place:
             length=self._length(found, point),
             multipliers=found.multipliers,
         )
+
+    def moves_all(self, aim: _Aim) -> bool:
+        """Whether an undamped step has all directions of which the data tell.
+
+        Where the dynamics are violated `_within_bounds` leaves some of them out.
+        """
+        if self.violation < SETTLED_VIOLATION:
+            return True
+        found = self.system.smoothed(room=self.problem.room(self.point.z))
+        n = len(self.problem.slope)
+        return np.array_equal(aim.point.z[:n], self._moved_by(found).z[:n])
 
     @cached_property
     def system(self) -> OptimalitySystem:

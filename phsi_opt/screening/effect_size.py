@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -58,14 +59,14 @@ def new_names(base: Model, effect: Effect, known: Iterable[str]) -> list[str]:
     return names
 
 
-def with_no_size(base: Model, effect: Effect) -> Model:
+def with_no_size(base: Model, *effects: Effect) -> Model:
     """The larger model with coefficients of zero: the base, as far as it contains it.
 
     A coefficient that is always above or below zero begins at its bound.
     """
-    larger = base.add(effect)
+    larger = reduce(Model.add, effects, base)
     values = {}
-    for name in new_names(base, effect, larger.free):
+    for name in set(larger.free) - base.entries.keys():
         entry = larger.entries[name]
         if entry.prunable:
             bounds = (entry.parameter.lower, entry.parameter.upper)

@@ -17,14 +17,19 @@ from functools import cached_property
 
 import numpy as np
 
+from phsi_opt.estimation.record import Record
+from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import (
     MarginalLikelihood,
     OptimalitySystem,
 )
-from phsi_opt.screening.weighing import EvidenceRecord
+from phsi_opt.screening.weighing import SCHEME, EvidenceRecord
+from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.sensors import outputs
 
@@ -39,6 +44,23 @@ class LinearizedRecord:
     states: np.ndarray  # (n_nodes, n_states) where it was linearised
     likelihood: MarginalLikelihood  # of the record there
     disturbances: Disturbances  # noise and forces, with their sizes
+
+    @classmethod
+    def without_force(cls, record: Record) -> "LinearizedRecord":
+        """With hard dynamics, at the states of a record's missing force."""
+        estimate = record.estimate
+        model = record.model.with_values(estimate.rounded)
+        unknown = Theta.of(model, record.runs)
+        theta = unknown.stacked(record.theta)
+        states = with_memory(model, estimate.grid, estimate.x, record.theta)
+        point = point_at(model, estimate.grid, unknown, theta, states)
+        values = LikelihoodValues(model, estimate.grid, SCHEME, point, unknown)
+        n_more = model.n_states - len(estimate.sigma)
+        noise = np.r_[estimate.sigma, np.ones(n_more)]
+        disturbances = Disturbances(np.tile(noise, (len(record.runs), 1)))
+        linear = Linearizer(values).at(point.scaled)
+        likelihood = MarginalLikelihood(linear, disturbances, np.arange(len(theta)))
+        return cls(model, unknown, theta, states, likelihood, disturbances)
 
     @classmethod
     def beside_force(cls, record: EvidenceRecord) -> "LinearizedRecord":

@@ -410,25 +410,37 @@ class EvidenceRecord:
         A model has the evidence of the best point that it can have, and a larger one
         that has gained by more than its own size has found a better one.
         """
-        base = self.base
-        own = list(map(larger.names.index, base.names))
-        n_states = self.weighing.n_states
-        sigma = larger.disturbances.sigma[:, :n_states]
-        start = Start(
-            model=base.model,
-            theta=larger.theta[own],
-            states=larger.states[:, :n_states],
-            processes=larger.processes,
-            disturbances=replace(larger.disturbances, sigma=sigma),
-        )
+        worth = self.base.log_likelihood + STRONG_EVIDENCE
         try:
-            worth = base.log_likelihood + STRONG_EVIDENCE
-            found = self.weighing.weighed(start, worth)
+            found = self.weighed_within(larger, self.base.model, worth)
         except SolveError:
             return None
-        if found.log_evidence < base.log_evidence + STRONG_EVIDENCE:
+        if found.log_evidence < self.base.log_evidence + STRONG_EVIDENCE:
             return None
         return replace(self, base=found)
+
+    def weighed_within(
+        self, larger: Weighed, model: Model, worth: float = -np.inf
+    ) -> Weighed:
+        """A model that a larger one contains, begun where the larger one is likeliest.
+
+        Raises:
+            SolveError: no states and forces were found that obey the dynamics.
+        """
+        unknown = Theta.of(model, self.weighing.runs)
+        own = list(map(larger.names.index, unknown.names))
+        states = larger.states[:, list(map(larger.model.states.index, model.states))]
+        sigma = larger.disturbances.sigma[:, : self.weighing.n_states]
+        return self.weighing.weighed(
+            Start(
+                model=model,
+                theta=larger.theta[own],
+                states=states,
+                processes=larger.processes,
+                disturbances=replace(larger.disturbances, sigma=sigma),
+            ),
+            worth,
+        )
 
     def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
         """A larger model with values of what is new, begun where the base is likeliest.
@@ -463,20 +475,21 @@ class EvidenceRecord:
         weighing = replace(self.weighing, aligned=aligned)
         return EvidenceRecord(weighing, weighing.weighed(self.base))
 
-    def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
-        """A fitted model without any force, begun at its free runs, training first.
+    def fitted(self, comparisons: Sequence[Comparison], has_force: bool) -> Weighed:
+        """A fitted model begun at its free runs, training first; with or without force.
 
         Raises:
             SolveError: no such states were found.
         """
         model = comparisons[0].model
         parameters = np.hstack([one.record.theta for one in comparisons])
+        sizes = self.base.disturbances
         start = Start(
             model=model,
             theta=Theta.of(model, self.weighing.runs).stacked(parameters),
             states=np.concatenate([x for one in comparisons for x in one.simulated]),
             processes=None,
-            disturbances=replace(self.base.disturbances, forces=()),
+            disturbances=sizes if has_force else replace(sizes, forces=()),
         )
         return self.weighing.weighed(start)
 

@@ -1,0 +1,189 @@
+"""A search over models: sets of effects, compared by their evidence beside a force.
+
+A beam of the likeliest models goes on from round to round: each is enlarged by the
+effects that screening expects to gain beside its force, and each that is new gives back
+one of its earlier effects, as the first may have stood in for what was found later.
+What ends a search is that no neighbour of the likeliest models is likelier than these.
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
+from functools import partial, reduce
+
+import numpy as np
+
+from phsi_opt.criteria import STRONG_EVIDENCE
+from phsi_opt.diagnosis.candidate import at_limit
+from phsi_opt.diagnosis.ranking import (
+    Ranking,
+    force_left,
+    screened_beside,
+    weighed_of,
+)
+from phsi_opt.diagnosis.refit import DiagnosedModel
+from phsi_opt.errors import SolveError
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import Model
+from phsi_opt.screening.effect_size import new_names
+from phsi_opt.screening.linearized_record import LinearizedRecord
+from phsi_opt.screening.score_test import Screened
+from phsi_opt.screening.weighing import Weighed
+from phsi_opt.sweeps.sweep import ahead
+
+BEAM_WIDTH = 3  # models that go on from a round
+MOST_TRIED = 4  # effects by which each of them is enlarged
+MOST_EFFECTS = 4  # of one model
+
+
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """Effects that were weighed together."""
+
+    effects: tuple[Effect, ...]
+    # Logarithm of what was tried until each was found, by its name.
+    prices: Mapping[str, float]
+    weighed: Weighed
+    log_evidence: float  # over the base, less the prices
+    force_left: float  # size of the force over that beside the base
+    # Along the training record, (n_nodes, n_states).
+    states: np.ndarray = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """Its effects in words."""
+        return " and ".join(map(str, self.effects))
+
+    @property
+    def key(self) -> frozenset[str]:
+        """Its effects, in no order."""
+        return frozenset(map(str, self.effects))
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Of the parameters of the model with them."""
+        return self.weighed.model.values
+
+
+class Search:
+    """The models that were weighed, beginning with those of a ranking."""
+
+    def __init__(
+        self, base: DiagnosedModel, ranking: Ranking, effects: Sequence[Effect]
+    ) -> None:
+        self.base = base
+        self.ranking = ranking
+        self.effects = effects
+        self.known: dict[frozenset[str], Combination] = {}
+        for one in ranking.candidates:
+            if one.was_weighed and not one.lost:
+                price = ranking.price(ranking.screened[one.name])
+                weighed = ranking.weighed[one.name]
+                self._take((one.effect,), {one.name: price}, weighed)
+
+    def run(self) -> None:
+        """Enlarge the likeliest models, as long as that finds likelier ones."""
+        seen: set[frozenset[str]] = set()
+        best = None
+        while self.known:
+            ordered = self.in_order()
+            if ordered[0] is best:
+                return
+            best = ordered[0]
+            for one in [one for one in ordered if one.key not in seen][:BEAM_WIDTH]:
+                seen.add(one.key)
+                if len(one.effects) < MOST_EFFECTS:
+                    self._enlarge(one)
+
+    def in_order(self) -> list[Combination]:
+        """What was weighed, the likeliest first."""
+        return sorted(self.known.values(), key=lambda one: -one.log_evidence)
+
+    def worth(self, one: Combination) -> dict[str, float]:
+        """The evidence that is lost where each effect alone is left out, most first."""
+        worth = {}
+        for name in map(str, one.effects):
+            rest = self._without(one, name)
+            left = 0.0 if len(one.effects) == 1 else -np.inf
+            worth[name] = one.log_evidence - (rest.log_evidence if rest else left)
+        return dict(sorted(worth.items(), key=lambda item: -item[1]))
+
+    def alike(self, one: Combination, name: str) -> list[Effect]:
+        """Effects that the evidence does not tell from one of a model."""
+        found = []
+        for other in self.in_order():
+            others = other.key - one.key
+            is_exchange = one.key - other.key == {name} and len(others) == 1
+            is_near = one.log_evidence - other.log_evidence < STRONG_EVIDENCE
+            if is_exchange and is_near:
+                found += [effect for effect in other.effects if str(effect) in others]
+        return found
+
+    def _enlarge(self, one: Combination) -> None:
+        record = replace(self.ranking.record, base=one.weighed)
+        self.base.say(f"screening further effects beside {one.name}")
+        others = [effect for effect in self.effects if str(effect) not in one.key]
+        screened = screened_beside(LinearizedRecord.beside_force(record), others)
+        gaining = [further for further in screened if further.gain > 0][:MOST_TRIED]
+        new = [one.key | {str(further.effect)} for further in gaining]
+        cases = {
+            str(further.effect): further
+            for further, key in zip(gaining, new, strict=True)
+            if key not in self.known
+        }
+        weigh = partial(weighed_of, record)
+        with closing(ahead(weigh, cases, self.base.executor, self.base.say)) as results:
+            for further in cases.values():
+                with suppress(SolveError):
+                    self._note_larger(one, further, next(results)())
+
+    def _note_larger(
+        self, one: Combination, further: Screened, weighed: Weighed
+    ) -> None:
+        effect = further.effect
+        prices = {**one.prices, str(effect): self.ranking.price(further)}
+        larger = self._take((*one.effects, effect), prices, weighed)
+        if larger is not None and larger.log_evidence > one.log_evidence:
+            for name in map(str, one.effects):
+                self._without(larger, name)
+
+    def _without(self, larger: Combination, name: str) -> Combination | None:
+        """A model less one effect, begun where it is; None: it was not found."""
+        fewer = tuple(one for one in larger.effects if str(one) != name)
+        known = self.known.get(frozenset(map(str, fewer)))
+        if known is not None or not fewer:
+            return known
+        self.base.say(f"computing the evidence without {name}")
+        model = reduce(Model.add, fewer, self.ranking.record.base.model)
+        values = larger.weighed.model.values
+        model = model.with_values({name: values[name] for name in model.values})
+        with suppress(SolveError):
+            weighed = self.ranking.record.weighed_within(larger.weighed, model)
+            return self._take(fewer, larger.prices, weighed)
+        return None
+
+    def _take(
+        self,
+        effects: tuple[Effect, ...],
+        prices: Mapping[str, float],
+        weighed: Weighed,
+    ) -> Combination | None:
+        """Note a model; None where the record does not determine it."""
+        record = self.ranking.record
+        base = self.base.fit.model
+        for effect in effects:
+            names = new_names(base, effect, weighed.names)
+            if at_limit(weighed.model, names, weighed.at_bounds):
+                return None
+        tried = sum(prices[str(effect)] for effect in effects)
+        equations = [base.index(effect.equation) for effect in effects]
+        found = Combination(
+            effects,
+            prices,
+            weighed,
+            weighed.log_evidence - record.base.log_evidence - tried,
+            force_left(weighed, record.base, equations),
+            weighed.states[: record.n_fitted_nodes],
+        )
+        self.known[found.key] = found
+        return found
