@@ -8,10 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
+from phsi_opt.comparison.compare import compare
 from phsi_opt.criteria import DECISIVE_EVIDENCE
-from phsi_opt.diagnosis.candidate import Grade
+from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.diagnose import candidate_of
 from phsi_opt.diagnosis.record import next_step
+from phsi_opt.diagnosis.refit import DiagnosedModel, refit
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, _Point
@@ -347,6 +349,14 @@ def test_a_corner_that_is_too_sharp_is_made_rounder_again() -> None:
         assert fit.values["coulomb_friction_p"] == pytest.approx(1.4, rel=0.03)
         assert fit.values["c"] == pytest.approx(0.8, rel=0.2)
     assert written_down.bic < found.proposed_fit.bic + 10
+    # A friction that was added before too, in the re-fit with a further effect.
+    sharp = written_down.model.with_values({"coulomb_friction_p.v0": 6e-4})
+    fit = ph.identify(sharp, data, start=written_down)
+    base = DiagnosedModel.of(compare(fit, data), None, None)
+    drag = effect_named(sharp, "cubic drag", "p")
+    larger = refit(base, Candidate(drag, 0.0, 0.0))
+    assert larger is not None
+    assert larger.fit.values["coulomb_friction_p.v0"] == pytest.approx(1e-3, rel=0.2)
 
 
 def test_a_run_that_is_far_off_is_no_wrong_unit_where_a_name_explains_it() -> None:

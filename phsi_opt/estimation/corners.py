@@ -30,6 +30,7 @@ from phsi_opt.transcription.grid import steps_per_gap
 
 # Share of the present width over which the slope of the deviance is taken.
 NEARBY_WIDTH = 0.99
+MOST_SECANTS = 3  # between a width that is too blunt and one that is too sharp
 
 
 def sharpened(
@@ -54,25 +55,49 @@ class _Sharpening:
 
     def of(self, estimate: LikelihoodEstimate) -> LikelihoodEstimate:
         most = SHARPER_CORNER_DEVIANCE
-        falls = [0.0]
-        for stage in range(
-            1, max(len(one.sharper) for one in self.corners.values()) + 1
-        ):
+        n_stages = max(len(one.sharper) for one in self.corners.values())
+        # The slope tells little on a grid on which no corner is resolved: the first
+        # stage is tried whatever it is.
+        known: list[tuple[float, float]] = []
+        for stage in range(1, n_stages + 1):
             sharper = self.at(stage, estimate)
             if sharper is None:
+                known = known or [(0.0, self.fall(estimate))]
                 break
-            falls.append(self.fall(sharper))
+            known.append((stage, self.fall(sharper)))
             if sharper.deviance > estimate.deviance + most:
                 break
             estimate = sharper
-            if falls[-1] < most:
+            if known[-1][1] < most:
                 break
-        # The slope tells little on a grid on which no corner is resolved.
-        if falls[-1] < -most and falls[-2] > 0:  # a secant step back
-            share = falls[-1] / (falls[-1] - falls[-2])
-            sharper = self.at(len(falls) - 1 - share, estimate)
-            if sharper is not None and sharper.deviance < estimate.deviance:
-                return sharper
+        *before, last = known
+        if last[1] > -most:
+            return estimate
+        low = before[-1] if before else (-1.0, -last[1])
+        return self.between(low, last, estimate)
+
+    def between(
+        self,
+        low: tuple[float, float],
+        high: tuple[float, float],
+        estimate: LikelihoodEstimate,
+    ) -> LikelihoodEstimate:
+        """The best estimate met by secants between a stage too low and one too high.
+
+        Each stage comes with the fall of its deviance.
+        """
+        for _ in range(MOST_SECANTS):
+            share = high[1] / (high[1] - low[1])
+            stage = high[0] - share * (high[0] - low[0])
+            found = self.at(stage, estimate)
+            if found is None:
+                break
+            if found.deviance < estimate.deviance:
+                estimate = found
+            fall = self.fall(found)
+            if abs(fall) < SHARPER_CORNER_DEVIANCE:
+                break
+            low, high = ((stage, fall), high) if fall > 0 else (low, (stage, fall))
         return estimate
 
     def fall(self, estimate: LikelihoodEstimate) -> float:
@@ -93,8 +118,9 @@ class _Sharpening:
         n_steps = STEPS_AT_CORNER * max(math.ceil(stage), 2) // 2
         widths = {}
         for name, guess in self.corners.items():
-            factors = np.cumprod([1.0, *guess.sharper])
-            factor = np.interp(stage, np.arange(len(factors)), factors)
+            first = guess.sharper[0]  # a stage of -1 is as much blunter
+            factors = np.cumprod([1 / first, first, *guess.sharper])
+            factor = np.interp(stage, np.arange(len(factors)) - 1, factors)
             widths[name] = self.blunt[name] * float(factor)
             near = CORNER_WIDTHS * model.values[name]
             speeds = values_at(model, task.grid, x, guess.of)
