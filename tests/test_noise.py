@@ -55,8 +55,11 @@ def test_noise_that_is_given_is_kept_and_what_is_unknown_is_guessed() -> None:
     given = np.array([0.3, np.nan])
     np.testing.assert_array_equal(initial_noise(data, given), [0.3, 1.0])
     few = one_channel(np.arange(3.0), np.array([0.0, 1.0, 2.0]))
-    # a tenth of the spread where differences tell nothing
+    # a tenth of the spread where differences tell nothing, or are not asked for
     assert initial_noise(few)[0] == pytest.approx(0.1 * np.std([0, 1, 2]))
+    spread = np.std(data.stacked("x")[:, 0])
+    unknown = np.full(2, np.nan)
+    np.testing.assert_allclose(initial_noise(data, unknown), [0.1 * spread, 1.0])
 
 
 def test_measurements_in_which_nothing_moves_are_refused() -> None:

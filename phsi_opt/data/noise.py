@@ -59,9 +59,11 @@ def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
 
 
 def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.ndarray:
-    """Noise per state, (n_states,): given (not NaN), else from differences of the data.
+    """Noise per state, (n_states,), from differences of the data, or as given.
 
-    At least `least_noise`; 1 where nothing was measured.
+    A tenth of the spread, from which the estimation comes down, where NaN is given, and
+    where no trajectory has enough samples for differences. At least `least_noise`; 1
+    where nothing was measured.
 
     Raises:
         DataError: no measured value ever changes.
@@ -76,7 +78,6 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
         )
     spread = channel_spread(data)
     noise = difference_noise(data) if given is None else given
-    # Where no trajectory has enough samples, the estimation starts with a tenth.
     unknown = 0.1 * np.where(spread > 0, spread, _size(y))
     noise = np.where(np.isfinite(noise), noise, unknown)
     noise = np.maximum(noise, least_noise(y))
