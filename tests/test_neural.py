@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -112,20 +113,25 @@ def test_equations_name_the_network_and_a_saved_hybrid_is_the_same_when_loaded(
     assert again.convergence.equals(found.convergence)
 
 
-@pytest.mark.parametrize("damage", [
-    lambda c: c.update(format="other"),
-    lambda c: c["force"].update(equations=["z"]),
-    lambda c: c["force"]["network"]["layers"].pop(),
-    lambda c: c["force"]["network"].update(shift=[0.0, 0.0]),
-    lambda c: c.pop("fit"),
+@pytest.mark.parametrize(("damage", "words"), [
+    (lambda c: c.update(format="other"), "format"),
+    (lambda c: c["force"].update(equations=["z"]), "'z'"),
+    (lambda c: c["force"]["network"]["layers"].pop(), "weights of layer 2"),
+    (lambda c: c["force"]["network"].update(layers=[]), ""),
+    (lambda c: c["force"]["network"].update(shift=[0.0, 0.0]), "shift of the network"),
+    # It would count for each of the 20 neurons.
+    (lambda c: c["force"]["network"]["layers"][0].__setitem__(1, [0.5]), r"bias of layer 1 .*\(1,\); expected \(20,\)"),
+    (lambda c: c.pop("fit"), "'fit'"),
 ])  # fmt: skip
-def test_a_damaged_file_is_refused(found: Hybrid, tmp_path: Path, damage) -> None:
+def test_a_damaged_file_is_refused(
+    found: Hybrid, tmp_path: Path, damage: Any, words: str
+) -> None:
     path = tmp_path / "hybrid.json"
     found.save(path)
     content = json.loads(path.read_text())
     damage(content)
     path.write_text(json.dumps(content))
-    with pytest.raises(ph.DataError, match=r"hybrid\.json"):
+    with pytest.raises(ph.DataError, match=rf"hybrid\.json.*{words}"):
         Hybrid.load(path)
 
 

@@ -66,12 +66,26 @@ class Network:
         """Refuse arrays from a file that are not of so many variables and outputs.
 
         Raises:
-            DataError, ValueError: a size does not fit.
+            DataError, TypeError, ValueError: a size does not fit.
         """
-        if self.at(np.zeros((2, n_variables))).shape != (2, n_outputs):
-            raise DataError(
-                "the layers of the network do not fit to its equations and variables."
-            )
+        sizes: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {
+            "shift": (self.shift, (n_variables,)),
+            "spread": (self.spread, (n_variables,)),
+            "seen": (self.seen, (2, n_variables)),
+        }
+        hidden = [len(weights) for weights, _ in self.layers[:-1]]
+        ends = pairwise([n_variables, *hidden, n_outputs])
+        for k, (layer, (n_in, n_out)) in enumerate(
+            zip(self.layers, ends, strict=True), 1
+        ):
+            sizes[f"weights of layer {k}"] = (layer[0], (n_out, n_in))
+            sizes[f"bias of layer {k}"] = (layer[1], (n_out,))
+        for name, (array, size) in sizes.items():
+            if array.shape != size:
+                raise DataError(
+                    f"the {name} of the network has the size {array.shape}; expected "
+                    f"{size}."
+                )
 
 
 def range_of(v: np.ndarray) -> np.ndarray:
