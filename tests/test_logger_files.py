@@ -370,6 +370,7 @@ def test_groups_without_a_name_are_numbered(tmp_path: Path) -> None:
 
 
 X = np.array([0, 1, 3, 7, 12, 20], np.int16)
+POINTS = {"raw_0": 1, "phys_0": 10.0, "phys_1": 20.0}
 NUMBERS: dict[str, tuple[Any, Any, list[float]]] = {
     "same": (X, None, X.tolist()),
     "line": (X, {"a": 0.5, "b": -1.0}, (0.5 * X - 1).tolist()),
@@ -385,54 +386,23 @@ NUMBERS: dict[str, tuple[Any, Any, list[float]]] = {
     ),
     "between points": (
         X,
-        {
-            "raw_0": 1,
-            "phys_0": 10.0,
-            "raw_1": 11,
-            "phys_1": 20.0,
-            "interpolation": True,
-        },
+        POINTS | {"raw_1": 11, "interpolation": True},
         [10.0, 10.0, 12.0, 16.0, 20.0, 20.0],
     ),
     "nearest point": (
         X,
-        {
-            "raw_0": 1,
-            "phys_0": 10.0,
-            "raw_1": 5,
-            "phys_1": 20.0,
-            "interpolation": False,
-        },
+        POINTS | {"raw_1": 5, "interpolation": False},
         [10.0, 10.0, 10.0, 20.0, 20.0, 20.0],
     ),
 }
+RANGES = {
+    **{"lower_0": 0, "upper_0": 3, "phys_0": 1.0},
+    **{"lower_1": 7, "upper_1": 12, "phys_1": 2.0},
+    "default": -1.0,
+}
 NUMBERS_4: dict[str, tuple[Any, Any, list[float]]] = {
-    "ranges": (
-        X,
-        {
-            "lower_0": 0,
-            "upper_0": 3,
-            "phys_0": 1.0,
-            "lower_1": 7,
-            "upper_1": 12,
-            "phys_1": 2.0,
-            "default": -1.0,
-        },
-        [1.0, 1.0, 1.0, 2.0, 2.0, -1.0],
-    ),
-    "ranges of reals": (
-        X.astype(float),
-        {
-            "lower_0": 0,
-            "upper_0": 3,
-            "phys_0": 1.0,
-            "lower_1": 7,
-            "upper_1": 12,
-            "phys_1": 2.0,
-            "default": -1.0,
-        },
-        [1.0, 1.0, -1.0, 2.0, -1.0, -1.0],
-    ),
+    "ranges": (X, RANGES, [1.0, 1.0, 1.0, 2.0, 2.0, -1.0]),
+    "ranges of reals": (X.astype(float), RANGES, [1.0, 1.0, -1.0, 2.0, -1.0, -1.0]),
     "beside a text": (
         X,
         {"val_0": 20, "text_0": b"no signal", "default_addr": {"a": 2.0, "b": 0.0}},
