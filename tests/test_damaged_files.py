@@ -224,6 +224,18 @@ def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(monkeypatch) -
         from_mat(zeros, **COLUMNS)
 
 
+def test_a_file_that_was_read_is_read_again_without_a_process(monkeypatch) -> None:
+    content = mat_file()
+    first = from_mat(io.BytesIO(content), **COLUMNS)
+    monkeypatch.setattr(reading_apart, "SCRIPT", Path("none"))
+    again = from_mat(io.BytesIO(content), **COLUMNS)
+    assert again.trajectories[0].x.tolist() == first.trajectories[0].x.tolist()
+    monkeypatch.setattr(reading_apart, "MOST_KEPT", 0)
+    from_mat(io.BytesIO(content), **COLUMNS)
+    with pytest.raises(ph.DataError, match="exit code"):
+        from_mat(io.BytesIO(content), **COLUMNS)
+
+
 @pytest.mark.parametrize(("script", "wait", "why"), [
     ("import os; os.abort()", 60.0, "is damaged: the reader ended with exit code"),
     ("import time; time.sleep(600)", 0.5, "it was not read in 0.5 s"),

@@ -4,16 +4,20 @@ The parsers of other projects trust what a file states, and some execute what it
 damaged file can crash the process that reads it, fill its memory or never end. So a
 script, `reader_script`, lets one of the readers read the file. The file, the answer and
 all else that a parser writes lie in a folder of their own. An answer consists of plain
-data (JSON, dates marked as such) and of arrays (.npz without pickled objects).
+data (JSON, dates marked as such) and of arrays (.npz without pickled objects). Answers
+are kept, since the page reads the same files at every check.
 """
 
 import datetime as dt
+import hashlib
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -44,6 +48,10 @@ class Limits:
 
 
 READING_LIMITS = Limits()
+MOST_KEPT = 100_000_000  # bytes of all answers that are kept
+# Plain data and arrays as they were written, the latest last, by the digest of what was
+# asked and of the file.
+_kept: dict[bytes, tuple[bytes, bytes]] = {}
 
 
 def read_apart(
@@ -60,29 +68,41 @@ def read_apart(
     Raises:
         DataError: it cannot be read, or needs too much time or memory.
     """
-    request = {
-        "reader": reader,
-        "asked": {"title": file.title, "most": reading.LARGEST_FILE, **asked},
-        "limits": asdict(READING_LIMITS),
-    }
-    answer: dict[str, Any] = {}
+    asked |= {"title": file.title, "most": reading.LARGEST_FILE}
+    question = {"reader": reader, "asked": asked, "limits": asdict(READING_LIMITS)}
+    request = json.dumps(question, default=shown).encode()
+    digest = hashlib.sha256(request)
+    digest.update(file.content)
+    key = digest.digest()
     try:
-        with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            Path(folder, "content").write_bytes(file.content)
-            why = _why_not(_run(folder, request))
-            if not why:
-                answer = _answer(folder)
-                why = answer["why"]
+        written = _kept.pop(key, None) or _written(file.content, request)
+        answer = _answer(*written)
+        why = answer["why"]
     except OSError as error:
         why = reading.why_not_read(error)
     if why:
         raise DataError(f"{file.title} cannot be read: {why}. {repair}")
     if "message" in answer:
         raise DataError(answer["message"])
+    _kept[key] = written
+    while sum(map(len, chain(*_kept.values()))) > MOST_KEPT:
+        _kept.pop(next(iter(_kept)))
     return answer["content"], answer["arrays"]
 
 
-def _run(folder: str, request: dict[str, Any]) -> int | None:
+def _written(content: bytes, request: bytes) -> tuple[bytes, bytes]:
+    """The answer of the script: plain data, and arrays where it gives some."""
+    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        Path(folder, "content").write_bytes(content)
+        why = _why_not(_run(folder, request))
+        if why:
+            raise OSError(why)
+        plain = Path(folder, "answer.json")
+        arrays = Path(folder, "arrays.npz")
+        return plain.read_bytes(), arrays.read_bytes() if arrays.exists() else b""
+
+
+def _run(folder: str, request: bytes) -> int | None:
     """Let the script read; the code with which it ends, None where it has no end."""
     if getattr(sys, "frozen", False) or not sys.executable:
         raise OSError(
@@ -92,7 +112,7 @@ def _run(folder: str, request: dict[str, Any]) -> int | None:
     try:
         run = subprocess.run(
             [sys.executable, "-P", "-X", "utf8", str(SCRIPT)],
-            input=json.dumps(request, default=shown).encode(),
+            input=request,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             timeout=READING_LIMITS.wait,
@@ -115,13 +135,12 @@ def _why_not(code: int | None) -> str:
     return f"it is damaged: the reader ended with exit code {code}" if code else ""
 
 
-def _answer(folder: str) -> dict[str, Any]:
+def _answer(plain: bytes, written: bytes) -> dict[str, Any]:
     """The answer of the script, with its arrays."""
     try:
-        text = Path(folder, "answer.json").read_text("utf-8")
-        answer: dict[str, Any] = json.loads(text, object_hook=_dates)
+        answer: dict[str, Any] = json.loads(plain, object_hook=_dates)
         if "content" in answer:
-            with np.load(Path(folder, "arrays.npz"), allow_pickle=False) as arrays:
+            with np.load(io.BytesIO(written), allow_pickle=False) as arrays:
                 answer["arrays"] = [arrays[name] for name in arrays.files]
     except ValueError as error:
         raise OSError(
