@@ -5,12 +5,12 @@ import gc
 import os
 import re
 import signal
-import subprocess
 import sys
 import weakref
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from runpy import run_path
 from typing import Any
 
 import openpyxl
@@ -40,7 +40,7 @@ from phsi_opt.study_file.gallery import GALLERY
 from phsi_opt.study_file.toml_text import toml_tables
 from tests.page_tools import contrast, spring_table
 from tests.test_logger_files import mdf_file, tdms_file
-from tests.waiting import HANGS_AFTER, wait_for
+from tests.waiting import wait_for
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
 # What the page was given of ``studied``, whether what is missing was said to be worked
@@ -72,6 +72,21 @@ def filled(folder: Path) -> Session:
 def consider_few(session: Session) -> None:
     """Few effects, so that a diagnosis ends sooner."""
     session.draft.kept["study"] = {"effects": list(CONSIDERED)}
+
+
+@pytest.fixture(autouse=True)
+def few_processes(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files are read in this process; ``studied`` and a browser have one for that."""
+    monkeypatch.setattr(Session, "_call", lambda _, __, read, *given: read(*given))
+    if {"studied", "worker"}.isdisjoint(request.fixturenames):
+        monkeypatch.setattr(Session, "_ready_worker", lambda _: None)
+
+
+@pytest.fixture
+def worker() -> None:
+    """Asked for where something is solved: processes for that are begun."""
 
 
 @pytest.fixture
@@ -119,6 +134,11 @@ def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes, said: str) 
     assert said in session.upload_error
     assert [one.key for one in session.complaints] == ["data.files"]
     assert not list(tmp_path.rglob("x.csv")), "a name with a path is no path"
+    session.close()
+
+
+def test_nothing_is_diagnosed_before_it_is_fitted(tmp_path: Path, worker: None) -> None:
+    session = Session(tmp_path)
     session.diagnose()
     wait_for(lambda: session.job is None)
     assert session.message == "Nothing has been fitted yet; press Fit first."
@@ -137,7 +157,6 @@ def test_the_file_of_a_logger_is_a_table(
     content = tdms_file(tmp_path / "log.tdms").read_bytes()
     if not is_installed:
         monkeypatch.setitem(sys.modules, "nptdms", None)
-        monkeypatch.setattr(Session, "_call", lambda _, __, read, *given: read(*given))
     session = Session(tmp_path / "own")
     assert session.upload("log.TDMS", content) == is_installed
     if is_installed:
@@ -416,22 +435,15 @@ def test_it_is_told_whether_a_model_is_diagnosed_or_will_be(studied: Session) ->
     assert all(one.content.present is not None for one in studied.models)
 
 
-def test_the_exported_script_reproduces_every_step(studied, tmp_path) -> None:
+def test_the_exported_script_reproduces_every_step(
+    studied, tmp_path, monkeypatch
+) -> None:
     assert studied.content is not None
     (tmp_path / "spring.csv").write_bytes(spring_table())
     script = tmp_path / "study.py"
-    shown = "print(*(step.judged.rmse for step in study.steps))"
-    script.write_text(f"{studied.study_file().script()}\n{shown}\n")
-    root = Path(__file__).resolve().parents[1]
-    ran = subprocess.run(
-        [sys.executable, script],
-        env={**os.environ, "PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=HANGS_AFTER,
-        check=True,
-    )
-    errors = [float(word) for word in ran.stdout.splitlines()[-1].split()]
+    script.write_text(studied.study_file().script())
+    monkeypatch.chdir(tmp_path)
+    errors = [step.judged.rmse for step in run_path(str(script))["study"].steps]
     expected = [step.judged for step in studied.content.steps]
     # On the page the re-fit begins where the diagnosis ended: the same optimum, found
     # from elsewhere.
@@ -515,7 +527,10 @@ def test_every_edit_is_undone_and_done_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_every_example_is_a_study_without_complaint(name: str, tmp_path: Path) -> None:
+def test_every_example_is_a_study_without_complaint(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Session, "_order", lambda one, *_: setattr(one, "job", "fit"))
     session = Session(tmp_path)
     session.open_example(name)
     assert session.job is not None, session.complaints
@@ -555,7 +570,9 @@ def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
     assert words.startswith("Column of x: it is in the model: choose its column")
 
 
-def test_a_solve_is_cancelled_and_what_was_found_is_kept(session, monkeypatch) -> None:
+def test_what_was_found_is_kept_when_a_solve_is_cancelled_or_its_worker_lost(
+    worker, session, monkeypatch
+) -> None:
     counted_as_made = []
     show = Session._show
 
@@ -577,29 +594,23 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(session, monkeypatch) -
     assert session.job is None
     assert session.message == "Fitted; cancelled while diagnosing."
     assert session.content.present is None
-    session.diagnose()
-    wait_for(lambda: session.job is None)
-    assert session.message == ""
-    assert session.content.present is not None, "it went on from what was kept"
-
-
-def test_a_worker_that_is_lost_is_told_and_nothing_else_is(session: Session) -> None:
-    consider_few(session)
-    session.fit()
-    wait_for(lambda: session.content is not None)
     fitted = session.content
+    session.diagnose()
     assert session._worker is not None
     os.kill(session._worker.pid, signal.SIGKILL)
     wait_for(lambda: session.job is None)
-    assert "ended unexpectedly (Fitted; diagnosing)" in session.message
+    assert "ended unexpectedly (Diagnosing)" in session.message
     assert session.content is fitted and not session.is_stale
     session.diagnose()
     wait_for(lambda: session.job is None)
+    assert session.message == ""
     further = session.content
     assert further and further.present is not None, "it went on from what was kept"
 
 
-def test_a_session_that_ends_leaves_no_memory_process_or_file(tmp_path: Path) -> None:
+def test_a_session_that_ends_leaves_no_memory_process_or_file(
+    tmp_path: Path, worker: None
+) -> None:
     session = filled(tmp_path / "own")
     session.show_up()
     assert session._worker is not None
@@ -613,7 +624,7 @@ def test_a_session_that_ends_leaves_no_memory_process_or_file(tmp_path: Path) ->
 
 
 def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
-    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    worker: None, session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def waits_for(one: Session, n: int) -> bool:
         return one.job is not None and one.job.line == waits(n)
