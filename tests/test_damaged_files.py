@@ -20,7 +20,7 @@ from phsi_opt.command_line.file_jobs import first_study
 from phsi_opt.data import reading_apart
 
 T = np.arange(40.0)
-N_DAMAGED = 16  # workbooks; always the same ones
+N_DAMAGED = 8  # workbooks; always the same ones
 LONGEST_WAIT = 600  # seconds; only a hang takes so long
 COLUMNS: dict[str, Any] = {"time": "t", "states": ["q"]}
 

@@ -203,12 +203,12 @@ def test_a_part_that_fails_is_told_and_stops_no_other(
 def test_a_file_whose_reading_never_ends_stops_nobody(
     browser: Browser, tmp_path: Path
 ) -> None:
-    slow = "session.look_at, session.READ_WITHIN = page_tools.endless, 40.0"
+    slow = "session.look_at, session.READ_WITHIN = page_tools.endless, 15.0"
     with served(tmp_path, slow) as address:
         page = browser.new_page()
         page.goto(address)
         drop(page, "hostile.csv", smooth_table())
-        page.wait_for_timeout(3000)  # it is being read
+        page.wait_for_timeout(1000)  # it is being read
         with urllib.request.urlopen(address, timeout=60) as answer:
             assert b"phsi_opt" in answer.read()
         page.get_by_role("tab", name="2 Model").click()
@@ -216,7 +216,7 @@ def test_a_file_whose_reading_never_ends_stops_nobody(
         page.get_by_role("tab", name="1 Data").click()
         told = page.get_by_role("alert")
         assert told.count() == 0, "all of this waited until the reading was ended"
-        expect(told).to_contain_text("reading was ended after 40 s", timeout=180_000)
+        expect(told).to_contain_text("reading was ended after 15 s", timeout=180_000)
 
 
 def held_out_error(page: Page, step: int) -> float:
