@@ -131,10 +131,10 @@ def test_nothing_that_is_uploaded_is_run(tmp_path: Path) -> None:
     state = ("working_study.toml", "fitted_study.toml", "report.html")
     for name in ("study.checkpoint", "innocent.csv", *state):
         session.upload(name, content)
-        session.diagnose()  # answered once the worker is there
-        wait_for(lambda: session.job is None)
-        assert session.message.startswith("Nothing has been fitted yet")
-        session.rest()
+    session.rest()
+    session.diagnose()  # answered once the worker is there
+    wait_for(lambda: session.job is None)
+    assert session.message.startswith("Nothing has been fitted yet")
     session.close()
     assert not marker.exists()
     pickle.loads(content)
@@ -164,7 +164,11 @@ def test_a_name_that_no_table_has_is_refused_in_a_sentence(name, tmp_path) -> No
 @pytest.mark.parametrize(
     "name", ["spring.csv", "Meßreihe 3 (neu).CSV", "a:b*?.txt", "a" * 251 + ".csv"]
 )
-def test_a_users_name_is_shown_and_stands_in_no_path(name: str, tmp_path: Path) -> None:
+def test_a_users_name_is_shown_and_stands_in_no_path(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Session, "_call", lambda _, __, read, *given: read(*given))
+    monkeypatch.setattr(Session, "_ready_worker", lambda _: None)
     session = Session(tmp_path / "own")
     assert session.upload(name, TABLE), session.upload_error
     assert session.draft.data is not None
@@ -295,18 +299,19 @@ def test_answers_say_what_a_browser_may_do_with_them(visitor: Visitor) -> None:
 def test_a_session_with_work_is_kept_and_the_next_is_refused_in_a_sentence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("phsi_opt.page.serve.MOST_SESSIONS", 4)
+    monkeypatch.setattr("phsi_opt.page.serve.MOST_SESSIONS", 3)
+    monkeypatch.setattr(Session, "_ready_worker", lambda _: None)
     sessions = Sessions()
-    for number in range(4):
+    for number in range(3):
         made = sessions.of(str(number))
         if number == 0:
             made.draft.model.table["states"] = ["q", "p"]  # typed, no table yet
         else:
             assert made.upload("a.csv", TABLE)
             made.rest()
-    with pytest.raises(ph.DataError, match="allows 4 studies"):
+    with pytest.raises(ph.DataError, match="allows 3 studies"):
         sessions.of("one too many")
-    begun = sessions.begin_again("3")
+    begun = sessions.begin_again("2")
     assert begun.is_empty
     sessions.of("another")
     assert begun.is_closed, "the empty session made room"
