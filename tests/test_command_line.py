@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -74,25 +75,63 @@ def run(*arguments: object, at: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.fixture
-def demo(tmp_path: Path) -> Path:
+def spring_study(folder: Path, few: str = "") -> Path:
     """The study file of the demonstration, with three of its eight runs."""
     shipped = ROOT / "phsi_opt" / "study_file" / "examples" / "spring"
     lines = (shipped / "friction_spring.csv").read_text().splitlines()
     left_out = tuple(f"run {number}" for number in range(4, 9))
     kept = [line for line in lines if not line.startswith(left_out)]
-    (tmp_path / "friction_spring.csv").write_text("\n".join(kept))
-    path = tmp_path / "study.toml"
-    path.write_text((shipped / "study.toml").read_text())
+    if few:
+        kept[1:] = kept[1::2]
+    (folder / "friction_spring.csv").write_text("\n".join(kept))
+    path = folder / "study.toml"
+    path.write_text((shipped / "study.toml").read_text().rstrip() + few)
     return path
 
 
 @pytest.fixture
-def short(demo: Path) -> Path:
-    """The same with few effects to consider, sooner solved."""
-    few = 'effects = ["coulomb friction", "quadratic drag", "cubic stiffness"]'
-    demo.write_text(demo.read_text().rstrip() + f"\n{few}\n")
-    return demo
+def demo(tmp_path: Path) -> Path:
+    return spring_study(tmp_path)
+
+
+FEW = '\neffects = ["coulomb friction", "quadratic drag", "cubic stiffness"]\n'
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    """With few effects to consider, sooner solved."""
+    return spring_study(tmp_path, FEW)
+
+
+@pytest.fixture(scope="module")
+def after_fit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    study = spring_study(tmp_path_factory.mktemp("fitted"), FEW)
+    run_job(Job(FIT, study), lambda message: None)
+    return study
+
+
+@pytest.fixture
+def fitted(after_fit: Path, tmp_path: Path) -> Path:
+    """The same once its base model was fitted."""
+    return shutil.copytree(after_fit.parent, tmp_path / "fitted") / after_fit.name
+
+
+@pytest.fixture(scope="module")
+def after_diagnosis(
+    after_fit: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, str, Any]:
+    """The study once it was diagnosed, and what `lines_and_answer` told."""
+    folder = shutil.copytree(after_fit.parent, tmp_path_factory.mktemp("d") / "study")
+    return (
+        folder / after_fit.name,
+        *lines_and_answer(DIAGNOSE, folder / after_fit.name),
+    )
+
+
+@pytest.fixture
+def diagnosed(after_diagnosis: tuple[Path, str, Any], tmp_path: Path) -> Path:
+    study = after_diagnosis[0]
+    return shutil.copytree(study.parent, tmp_path / "diagnosed") / study.name
 
 
 def left_over(at: Path) -> list[str]:
@@ -430,8 +469,9 @@ def test_a_fit_is_saved_and_taken_up_again(short: Path) -> None:
     assert content["noise"] == fit.noise
     _, held_out = ph.StudyFile.read(short).split()
     assert held_out is not None
-    compared = run("compare", "--fit", "fit.json", "--json", at=short.parent)
-    content = json.loads(compared.stdout)
+    content = lines_and_answer(COMPARE, short, fit=short.with_name("fit.json"))[
+        1
+    ].content
     errors = ph.compare(fit, held_out)
     assert (content["rmse"], content["unit"]) == (errors.rmse, "m")
     diagnosed = run(
@@ -443,10 +483,10 @@ def test_a_fit_is_saved_and_taken_up_again(short: Path) -> None:
     assert left_over(short.parent) == []
 
 
-def lines_and_answer(kind: str, study: Path) -> tuple[str, Any]:
+def lines_and_answer(kind: str, study: Path, **options: Any) -> tuple[str, Any]:
     """What a command tells on its way, and what it answers."""
     told: list[Message] = []
-    answer = run_job(Job(kind, study), told.append)
+    answer = run_job(Job(kind, study, **options), told.append)
     return "\n".join(one for one in told if isinstance(one, str)), answer
 
 
@@ -468,32 +508,35 @@ def test_no_command_fits_again_what_one_before_it_fitted(short: Path) -> None:
 EVIDENCE = "computing the evidence"  # what a diagnosis tells on its way
 
 
-def test_no_command_diagnoses_again_what_one_before_it_diagnosed(short: Path) -> None:
-    lines, alone = lines_and_answer(DIAGNOSE, short)
+def test_no_command_diagnoses_again_what_one_before_it_diagnosed(
+    after_diagnosis: tuple[Path, str, Any], diagnosed: Path
+) -> None:
+    _, lines, alone = after_diagnosis
     assert EVIDENCE in lines
-    lines, again = lines_and_answer(DIAGNOSE, short)
+    lines, again = lines_and_answer(DIAGNOSE, diagnosed)
     assert EVIDENCE not in lines
     assert again == alone  # to the last digit
-    short.write_text(short.read_text().replace('"quadratic drag", ', ""))
-    assert EVIDENCE in lines_and_answer(DIAGNOSE, short)[0], "other effects"
+    text = diagnosed.read_text()
+    diagnosed.write_text(text.replace('"quadratic drag", ', ""))
+    assert EVIDENCE in lines_and_answer(DIAGNOSE, diagnosed)[0], "other effects"
 
 
 @pytest.mark.slow
-def test_a_study_takes_up_the_diagnoses_of_the_one_before(short: Path) -> None:
-    lines_and_answer(DIAGNOSE, short)
-    job = Job(GO_THROUGH, short, is_auto=True)
+def test_a_study_takes_up_the_diagnoses_of_the_one_before(diagnosed: Path) -> None:
+    job = Job(GO_THROUGH, diagnosed, is_auto=True)
     told: list[Message] = []
     first = run_job(job, told.append)
     assert str(told).count("screening") == 1, "of what the larger model lacks"
     told.clear()
     assert run_job(job, told.append) == first
     assert EVIDENCE not in str(told)
-    text = short.read_text()
-    short.write_text(text.replace("added = []", 'added = ["coulomb friction on p"]'))
-    assert EVIDENCE not in lines_and_answer(DIAGNOSE, short)[0]
+    text = diagnosed.read_text()
+    added = 'added = ["coulomb friction on p"]'
+    diagnosed.write_text(text.replace("added = []", added))
+    assert EVIDENCE not in lines_and_answer(DIAGNOSE, diagnosed)[0]
     other = 'runs = ["run 3"]\n[final]\nruns = ["run 2"]'
-    short.write_text(text.replace("share = 0.4", other))
-    assert EVIDENCE in lines_and_answer(DIAGNOSE, short)[0], "other data that judge"
+    diagnosed.write_text(text.replace("share = 0.4", other))
+    assert EVIDENCE in lines_and_answer(DIAGNOSE, diagnosed)[0], "other data that judge"
 
 
 def kept_fit(study: Path) -> ph.Fit | None:
@@ -502,8 +545,8 @@ def kept_fit(study: Path) -> ph.Fit | None:
     return kept_fits.KeptFits.of(study, file, file.split()[0]).with_effects()
 
 
-def test_a_fit_of_something_else_is_not_taken(short, monkeypatch) -> None:
-    run_job(Job(FIT, short), lambda message: None)
+def test_a_fit_of_something_else_is_not_taken(fitted, monkeypatch) -> None:
+    assert kept_fit(fitted) is not None
     for name, old, new in [
         ("study.toml", "m = 2.5", "m = 2.6"),
         ("study.toml", "start = 10.0", "start = 11.0"),
@@ -515,38 +558,38 @@ def test_a_fit_of_something_else_is_not_taken(short, monkeypatch) -> None:
         ("study.toml.cache", '{"key"', "{'key'"),
         ("study.toml.cache", "\n", ""),
     ]:
-        assert kept_fit(short) is not None
-        path = short.with_name(name)
+        path = fitted.with_name(name)
         text = path.read_text()
         assert old in text
         path.write_text(text.replace(old, new, 1))
-        assert kept_fit(short) is None, (name, new)
+        assert kept_fit(fitted) is None, (name, new)
         path.write_text(text)
+    assert kept_fit(fitted) is not None
     monkeypatch.setattr(kept_fits, "version", lambda name: "0.0.9")
-    assert kept_fit(short) is None
+    assert kept_fit(fitted) is None
     told: list[Message] = []
-    run_job(Job(FIT, short), told.append)
+    run_job(Job(FIT, fitted), told.append)
     assert FITTING in told
-    assert kept_fit(short) is not None
+    assert kept_fit(fitted) is not None
 
 
 @pytest.mark.slow
-def test_a_study_finds_what_is_missing_and_writes_it_down(short: Path) -> None:
-    before = short.read_text()
+def test_a_study_finds_what_is_missing_and_writes_it_down(diagnosed: Path) -> None:
+    before = diagnosed.read_text()
     result = run(
         *("study", "--auto", "--max-steps", 1, "--write"),
         *("--report", "report.html", "--save", "fit.json"),
-        at=short.parent,
+        at=diagnosed.parent,
     )
     assert result.returncode == ExitCode.DONE, result.stderr
     assert "coulomb friction on p" in result.stdout
     assert "written: report.html" in result.stderr
-    assert "Coulomb friction on p" in short.with_name("report.html").read_text()
-    names = ph.Fit.load(short.with_name("fit.json")).names
+    assert "Coulomb friction on p" in diagnosed.with_name("report.html").read_text()
+    names = ph.Fit.load(diagnosed.with_name("fit.json")).names
     assert "coulomb_friction_p" in names
-    assert ph.StudyFile.read(short).steps.added == ("coulomb friction on p",)
-    assert short.with_name("study.toml.bak").read_text() == before
-    assert left_over(short.parent) == []
+    assert ph.StudyFile.read(diagnosed).steps.added == ("coulomb friction on p",)
+    assert diagnosed.with_name("study.toml.bak").read_text() == before
+    assert left_over(diagnosed.parent) == []
 
 
 def test_what_fails_ends_with_its_own_code(demo: Path) -> None:
@@ -605,9 +648,9 @@ def _living(group: int) -> Iterator[int]:
             yield int(entry.parent.name)
 
 
-def test_ctrl_c_ends_a_study_and_keeps_the_finished_steps(short: Path) -> None:
+def test_ctrl_c_ends_a_study_and_keeps_the_finished_steps(fitted: Path) -> None:
     arguments = ["study", "--auto", "--save", "fit.json", "--report", "report.html"]
-    ended = stopped(short.parent, "screening", [*arguments, "--json"], signal.SIGINT)
+    ended = stopped(fitted.parent, "screening", [*arguments, "--json"], signal.SIGINT)
     assert ended.code == ExitCode.INTERRUPTED
     content = json.loads(ended.out)
     assert content["interrupted"]
@@ -615,23 +658,23 @@ def test_ctrl_c_ends_a_study_and_keeps_the_finished_steps(short: Path) -> None:
     assert content["written"] == ["fit.json", "report.html"]
     assert "Traceback" not in ended.err
     assert "written: fit.json" in ended.err
-    assert set(ph.Fit.load(short.with_name("fit.json")).names) == {"k", "c"}
-    assert "base model" in short.with_name("report.html").read_text()
-    assert left_over(short.parent) == []
+    assert set(ph.Fit.load(fitted.with_name("fit.json")).names) == {"k", "c"}
+    assert "base model" in fitted.with_name("report.html").read_text()
+    assert left_over(fitted.parent) == []
 
 
-def test_a_working_process_that_dies_is_told(short: Path) -> None:
-    process = begun(short.parent, "screening", "study", "--auto", "--save", "fit.json")
+def test_a_working_process_that_dies_is_told(fitted: Path) -> None:
+    process = begun(fitted.parent, "screening", "study", "--auto", "--save", "fit.json")
     (working,) = working_processes(process.pid)
     os.kill(working, signal.SIGKILL)
     _, err = process.communicate(timeout=HANGS_AFTER)
     assert process.returncode == ExitCode.FAILED
     assert "ended without a result" in err
-    assert ph.Fit.load(short.with_name("fit.json")).names == ("k", "c")
+    assert ph.Fit.load(fitted.with_name("fit.json")).names == ("k", "c")
 
 
-def test_the_working_process_ends_with_the_one_that_waits_for_it(short: Path) -> None:
-    process = begun(short.parent, "screening", "study", "--auto")
+def test_the_working_process_ends_with_the_one_that_waits_for_it(fitted: Path) -> None:
+    process = begun(fitted.parent, "screening", "study", "--auto")
     process.kill()
     assert process.stderr is not None and process.stdout is not None
     process.stderr.close()
@@ -687,17 +730,17 @@ def test_the_page_opens_the_study_of_its_folder(tmp_path, monkeypatch) -> None:
     assert opened == [None, Path("study.toml"), Path("other.toml")]
 
 
-def test_a_study_that_breaks_off_says_so_in_its_report(short, monkeypatch) -> None:
+def test_a_study_that_breaks_off_says_so_in_its_report(fitted, monkeypatch) -> None:
     def breaks(*_: object, **__: object) -> str:
         raise RuntimeError("a mistake on the way")
 
     monkeypatch.setattr(ph.Study, "auto", breaks)
     told: list[Message] = []
-    job = Job(GO_THROUGH, short, is_auto=True, report=short.with_name("report.html"))
+    job = Job(GO_THROUGH, fitted, is_auto=True, report=fitted.with_name("report.html"))
     with pytest.raises(RuntimeError):
         run_job(job, told.append)
     kept = [one for one in told if isinstance(one, Finished)][-1]
-    assert kept.files == (short.with_name("report.html"),)
+    assert kept.files == (fitted.with_name("report.html"),)
     report = kept.files[0].read_text(encoding="utf-8")
     assert "the study failed: a mistake on the way.</h1>" in report
     assert "So far: the error on data not used for fitting is" in report
