@@ -526,8 +526,10 @@ SILENT: dict[str, tuple[ph.PseudoHamiltonian, set[str]]] = {
 }
 
 
-@pytest.mark.parametrize("name", SILENT)
-@pytest.mark.parametrize("model_error", [False, True])
+@pytest.mark.parametrize(
+    ("name", "model_error"),
+    [*((name, False) for name in SILENT), ("offset and force", True)],
+)
 def test_what_the_data_cannot_tell_is_named_and_the_rest_gets_standard_errors(
     name: str, model_error: bool
 ) -> None:
