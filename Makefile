@@ -8,8 +8,8 @@ PY := $(VENV)/bin/python
 CONSTRAINTS := .ci/constraints.txt
 LOWEST := .ci/constraints_lowest.txt
 EXTRAS := neural,baselines,app,distributed,loggers,peers,dev
-# Tests of what other packages do for this one: tables, formulas, units, fits, charts, workers, the command line.
-OTHERS := $(addprefix tests/test_,tables.py logger_files.py units.py model.py identify.py sweeps.py report.py noticed.py)
+# Tests of what other packages do for this one: tables, formulas, units, fits, reports, workers.
+OTHERS := $(addprefix tests/test_,tables.py logger_files.py units.py model.py identify.py sweeps.py report.py)
 # Bytecode is left to the first use of a module: compiling all that is installed takes longer than installing it.
 PIP_INSTALL := -m pip install -qq --no-compile
 # More arguments, e.g. `make test ARGS='-m slow'` or `make thesis ARGS=tanks`.
