@@ -202,18 +202,11 @@ def test_ctrl_c_cancels_the_starts_that_are_not_begun() -> None:
 # ---- other processes -----------------------------------------------------------------
 
 
-def fit_digest(n_samples: int = 200) -> str:
-    """Of estimates, standard errors and states, to the last bit."""
-    fit = fitted(record(n_samples, 2))
-    parts = [fit.estimates, fit.covariance.tolist(), fit.states[0].tolist()]
-    return hashlib.sha256(repr(parts).encode()).hexdigest()
-
-
 def study_digest(folder: Path) -> str:
     """Of a study with a diagnosis, an effect and a report."""
     unknown = ph.Parameter(1.0, lower=0)
     model = driven_spring(unknown, unknown)
-    study = ph.Study(model, record(300, 0), record(60, 1), effects=EFFECTS)
+    study = ph.Study(model, record(150, 0), record(60, 1), effects=EFFECTS)
     study.auto(1)
     assert study.added
     report = study.report(folder / "report.html").read_text("utf-8")
@@ -238,13 +231,8 @@ def elsewhere(call: str, seed: str, n_threads: str) -> str:
     return run.stdout.strip()
 
 
-def test_a_process_with_another_hash_seed_and_two_threads_fits_the_same_bits() -> None:
-    assert elsewhere("fit_digest()", "7", "2") == fit_digest()
-
-
 @pytest.mark.slow
 def test_a_study_and_its_report_are_the_same_in_another_process(tmp_path) -> None:
     expected = study_digest(tmp_path)
-    for seed, n_threads in (("1", "1"), ("2", "2")):
-        there = elsewhere(f"study_digest(Path({str(tmp_path)!r}))", seed, n_threads)
-        assert there == expected
+    there = elsewhere(f"study_digest(Path({str(tmp_path)!r}))", seed="7", n_threads="2")
+    assert there == expected
