@@ -22,9 +22,9 @@ ROOT = Path(__file__).resolve().parents[1]
 EVERY_KIND: tuple[Any, ...] = ({}, *KINDS)
 
 
-def driven_spring() -> ph.PseudoHamiltonian:
+def driven_spring(H: str = "p**2/2") -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H="p**2/2", F={"p": "u"}
+        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H=H, F={"p": "u"}
     )
 
 
@@ -211,7 +211,7 @@ def test_what_the_model_has_by_another_name_cannot_be_added_again() -> None:
 def pushed() -> ph.PseudoHamiltonian:
     """A mass with a spring and a force, without losses."""
     # Nothing is free: no effect is compared with what parameters can do.
-    return replace(driven_spring(), H="q**2/2 + p**2/2")
+    return driven_spring("q**2/2 + p**2/2")
 
 
 @pytest.mark.parametrize(("other", "name"), [
