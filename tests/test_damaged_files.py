@@ -243,11 +243,7 @@ def test_a_file_that_was_read_is_read_again_without_a_process(monkeypatch) -> No
     ("", 60.0, "there is no such file"),
 ], ids=["crash", "endless", "half an answer", "no answer"])  # fmt: skip
 def test_a_file_whose_reading_crashes_or_never_ends_is_refused(
-    script: str,
-    wait: float,
-    why: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    script: str, wait: float, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     place = tmp_path / "script.py"
     place.write_text(script)

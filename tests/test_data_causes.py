@@ -9,11 +9,7 @@ import phsi_opt as ph
 
 STIFFNESS = ph.Parameter(10.0, lower=0)
 SPRING = ph.mechanical(
-    ["x"],
-    mass=2.0,
-    forces="u - k*x - c*v",
-    k=STIFFNESS,
-    c=ph.Parameter(0.5, lower=0),
+    ["x"], mass=2.0, forces="u - k*x - c*v", k=STIFFNESS, c=ph.Parameter(0.5, lower=0)
 )
 TRUTH = SPRING.with_values({"k": 18.0, "c": 1.1})
 OTHER = SPRING.with_values({"k": 26.0, "c": 1.1})

@@ -35,7 +35,7 @@ RECORDS: dict[str, tuple[float, list[float], list[float], dict[str, float]]] = {
     "room-walls": (1e5, [18, 15], [1000, 10], {"C": 1e4}),
     "cell": (3000, [4, 0, 0], [2], {}),
 }
-N = 401
+N = 201
 
 
 def with_speed(base: BaseModel) -> BaseModel:
@@ -66,7 +66,7 @@ def record_of(base: BaseModel) -> tuple[pd.DataFrame, dict[str, float]]:
     rng = np.random.default_rng(1)
     t = np.linspace(0, length, N)
     levels = rng.uniform(0, 1, (21, len(sizes))) * sizes
-    u = np.repeat(levels, 20, axis=0)[:N]  # steps up and down, none negative
+    u = np.repeat(levels, 10, axis=0)[:N]  # steps up and down, none negative
     model = model_of(base)
     truth = {name: 1.2 * model.values[name] for name in model.free} | truth
     model = model.with_values(truth)

@@ -126,10 +126,7 @@ READERS: dict[str, Callable[..., Any]] = {
 # The file, given what it would execute, and what its refusal says.
 RUN_CODE: dict[str, tuple[Callable[[str], bytes], str]] = {
     "mdf": (lambda text: mdf(q={"formula": f"X+0*{text}"}), FORMULA),
-    "mdf 3": (
-        lambda text: mdf(version="3.30", q={"formula": f"X1+0*{text}"}),
-        FORMULA,
-    ),
+    "mdf 3": (lambda text: mdf(version="3.30", q={"formula": f"X1+0*{text}"}), FORMULA),
     "mdf, times": (
         lambda text: mdf(clock={"conversion_type": 3, "formula": f"X+0*{text}"}),
         f"the channel 'time' cannot be read: {FORMULA}",
