@@ -1,14 +1,20 @@
-"""Every example of docs/ runs, and prints what its page shows (how-tos: `test_how_to`)."""
+"""Every example of the README and docs/ runs, and prints what its page shows.
+
+Those of the how-to pages are tested in `test_how_to`.
+"""
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from phsi_opt.model.catalogue import EffectChoice
 from problems.examples.docs_data import FILES, FOLDER
 from tests.doc_pages import (
+    DEMO_DATA,
     DOCS,
     HOW_TO,
     ROOT,
@@ -17,7 +23,9 @@ from tests.doc_pages import (
     name_of,
     pages,
     run_as_shown,
+    run_page,
 )
+from tests.page_tools import spring_table
 
 RESULT = re.compile(r"`results/(\w+)\.md`")
 LINKED = re.compile(r"\]\(measured/(\w+)\.md")
@@ -33,6 +41,26 @@ def test_the_examples_of_a_page_run_and_print_what_it_shows(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     assert run_as_shown(page) > 0
+
+
+@pytest.mark.slow
+def test_the_examples_of_the_readme_run_one_after_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = tmp_path / "problems" / "examples" / "data" / "friction_spring.csv"
+    data.parent.mkdir(parents=True)
+    data.write_bytes(spring_table())
+    shipped = tmp_path / DEMO_DATA.relative_to(ROOT)
+    shutil.copytree(DEMO_DATA, shipped)
+    (shipped / data.name).write_bytes(spring_table())
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    all_of_them = EffectChoice.candidates
+    monkeypatch.setattr(  # the first is the friction, a few others lose to it
+        EffectChoice, "candidates", lambda *given: all_of_them(*given)[:4]
+    )
+    run_page(ROOT / "README.md")
+    assert (tmp_path / "report.html").exists()
 
 
 def test_every_page_for_users_has_examples() -> None:

@@ -232,7 +232,6 @@ LOSSES = (
 LEAKS = ("linear leak", "quadratic leak", "turbulent leak", "saturating leak")
 OF_SENSORS = ("sensor offset", "sensor gain")
 DAMPED, RUBBED = "viscous damping on p", "coulomb friction on p"
-CUBIC = damped_spring("2.3*q**2/2 + 0.5*q**4/4 + p**2/2")
 RUBBING = damped_spring(loss="0.1 + 0.08*(p**4 + 0.03**4)**(-0.25)")
 SOFT = damped_spring("2.1*q**2/2 + p**2/2")
 
@@ -279,7 +278,6 @@ SLOW: dict[str, tuple[Callable[[], ph.Diagnosis], Answer]] = {
         partial(drawn, "pendulum", 518, "hysteresis", "viscous damping"), Answer(DAMPED)
     ),
     "a loss is named where it stands": (partial(drawn, "circuit", 310, *LOSSES), Answer("linear resistance on flux")),
-    "a known model lacks a cubic spring": (partial(known, CUBIC, *SPRINGS), Answer({"cubic stiffness on p"}, NAMED, 0.5)),
 }  # fmt: skip
 TABLE = [pytest.param(*row, id=why) for why, row in QUICK.items()]
 TABLE += [
