@@ -44,7 +44,7 @@ results: $(VENV)/.full ## list the pages in results/ that are older than the cod
 
 # The tests of one file share fits, so they stay together; one thread each, since every processor has tests of its own.
 test: $(VENV)/.full browser ## run the tests on all processors, but for slow ones (ARGS="-m slow": those)
-	@OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --dist loadfile $(ARGS)
+	@OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lowest: $(LOWEST) ## run the tests that depend most on other packages with the lowest versions that pyproject.toml allows
 	@$(call tested_elsewhere,$(PYTHON),lowest,-c $(LOWEST))
