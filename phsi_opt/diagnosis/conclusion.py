@@ -101,16 +101,21 @@ class _Judge:
                 return self.without_effect(Verdict.NOTHING_MISSING)
             rank_again(self.base, self.ranking, self.effects)
             single = self.single()
-        proposals = [] if single is None else [single]
+        several = None
         if single is None or not single.is_complete:
-            proposals = [*filter(None, [self.several(single)]), *proposals]
-        doubts = list(map(self.doubt, proposals))
-        for proposal, doubt in zip(proposals, doubts, strict=True):
-            if not doubt:
+            several = self.several(single)
+        # As long as a force remains, a further law may stand in for what is missing.
+        ordered = [single, several]
+        if several is not None and several.is_complete:
+            ordered = [several, single]
+        doubts = {}
+        for proposal in filter(None, ordered):
+            doubts[proposal] = self.doubt(proposal)
+            if not doubts[proposal]:
                 return self.named(proposal)
         if single is None:
             return self.without_effect(Verdict.UNEXPLAINED)
-        return self.not_named(single, doubts[-1])
+        return self.not_named(single, doubts[single])
 
     @property
     def candidates(self) -> list[Candidate]:
