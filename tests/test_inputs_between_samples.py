@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import phsi_opt as ph
 from phsi_opt.data.noticed import breaks_of
-from phsi_opt.data.trajectory import SmoothInputs, Trajectory, is_stepped
+from phsi_opt.data.trajectory import InputCurve, Trajectory, is_stepped
 from phsi_opt.page.drafts import look_at
 from phsi_opt.simulation.simulate import free_run
 from phsi_opt.study_file.survey import first_text, survey
@@ -53,12 +54,12 @@ def moved(hold: str) -> ph.Measurements:
 @pytest.mark.parametrize("n_samples", [2, 3, 5])
 def test_a_line_has_the_mean_and_the_first_moment_of_the_spline(n_samples: int) -> None:
     t = np.array([0.0, 0.7, 1.0, 2.2, 3.0])[:n_samples]
-    smooth = SmoothInputs(t, np.exp(t)[:, None])
-    first, last = smooth.lines(t[:-1], t[1:])
+    smooth = CubicSpline(t, np.exp(t))
+    first, last, *_ = InputCurve(t, np.exp(t), "cubic").lines(t[:-1], t[1:])
     s, weight = np.polynomial.legendre.leggauss(4)  # exact for these polynomials
     for k, (a, b) in enumerate(pairwise(t)):
-        spline = smooth((a + b) / 2 + (b - a) / 2 * s)[:, 0]
-        line = (first[k, 0] + last[k, 0]) / 2 + (last[k, 0] - first[k, 0]) / 2 * s
+        spline = smooth((a + b) / 2 + (b - a) / 2 * s)
+        line = (first[k] + last[k]) / 2 + (last[k] - first[k]) / 2 * s
         np.testing.assert_allclose(weight @ spline, weight @ line, rtol=1e-12)
         np.testing.assert_allclose(weight @ (spline * s), weight @ (line * s))
 

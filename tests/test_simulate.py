@@ -13,7 +13,15 @@ from scipy.integrate import RK45
 import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.simulation import simulate as simulating
-from phsi_opt.simulation.simulate import ERROR, NODES, WEIGHTS, Runs, free_run, rates
+from phsi_opt.simulation.simulate import (
+    ERROR,
+    NODES,
+    WEIGHTS,
+    Runs,
+    SampledInputs,
+    free_run,
+    rates,
+)
 
 K, M, D = 40.0, 2.5, 0.8
 # Local errors of 1e-8, gathered over some hundred steps.
@@ -210,12 +218,9 @@ def test_what_explicit_steps_cannot_do_is_left_to_scipy() -> None:
     model = first_order("u", a="1e6*(u - a)")
     t = np.linspace(0.0, 2.0, 41)
     u = np.sin(t)[:, None]
-    assert (
-        Runs(rates(model.rhs(), model.theta)).run(
-            t, np.zeros(1), u, np.array(["linear"])
-        )
-        is None
-    )
+    inputs = SampledInputs.of(model, t, u, np.array(["linear"]))
+    runs = Runs(rates(model.rhs(), model.theta))
+    assert runs.run(inputs, np.zeros(1)) is None
     expected = ph.simulate(model, t, [0.0], u)
     np.testing.assert_array_equal(free_run(model, t, [0.0], u), expected)
 

@@ -99,7 +99,8 @@ class DescentRun:
         self.settings = settings
         record = aligned_once(model, data)
         self.hold = checked_hold(record.hold, record.inputs)
-        self.grid = complete_intervals(model, grid_of(record))
+        complete = complete_intervals(model, grid_of(record))
+        self.grid = complete.driven(model, model.theta)
         self.dtype: torch.dtype = getattr(torch, settings.dtype)
         columns = interval_arguments(self.grid, self.grid.y.T)
         self.tables = [torch.tensor(np.concatenate(columns).T)]

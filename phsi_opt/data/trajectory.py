@@ -8,6 +8,7 @@ integration steps, of which those that continue each other become one trajectory
 import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -201,49 +202,79 @@ def is_stepped(runs: Sequence[np.ndarray]) -> bool:
     return within < (1 - STEPPED_SHARE) * total
 
 
-class SmoothInputs:
-    """An input that is smooth between its samples: the cubic spline through them.
+@dataclass(frozen=True, eq=False)
+class InputCurve:
+    """An input at any time; before its first sample, and after the last, it is held.
 
-    A straight line from sample to sample is too low at every crest: of a wave of w h
-    radians per sample it keeps the share 1 - (w h)^2/12, and a fit takes what is lost
-    for friction or for a softer spring. A spline loses a share of order (w h)^4.
-
-    The spline has two continuous derivatives, and at both ends a third ("not a knot"):
-    two samples make a line, three a parabola.
+    Smooth between the samples (``hold="cubic"``) it is the spline through them, with
+    two continuous derivatives, and at both ends a third ("not a knot"): two samples
+    make a line, three a parabola. A straight line from sample to sample is too low at
+    every crest: of a wave of w h radians per sample it keeps the share 1 - (w h)^2/12,
+    and a fit takes what is lost for friction or for a softer spring.
 
     Args:
-        t: (n_samples,) strictly increasing times, at least 2.
-        u: (n_samples, n_inputs) inputs at t, at least one.
+        t: (n_samples,) strictly increasing times.
+        u: (n_samples,) the input there.
+        hold: what it does between them.
     """
 
-    def __init__(self, t: np.ndarray, u: np.ndarray) -> None:
-        from scipy.interpolate import CubicSpline  # slow to import, and seldom needed
+    t: np.ndarray
+    u: np.ndarray
+    hold: str
 
-        self.limits = (float(t[0]), float(t[-1]))
-        self._spline: Any = CubicSpline(t, u)
+    @cached_property
+    def instant(self) -> float:
+        """A time shorter than any other, and longer than rounding."""
+        rounding = 8 * float(np.spacing(np.max(np.abs(self.t))))
+        return max(1e-9 * float(np.min(np.diff(self.t), initial=1.0)), rounding)
 
-    def __call__(self, times: np.ndarray | float) -> np.ndarray:
-        """The inputs at times, (..., n_inputs); beyond the samples those at the end."""
-        return np.asarray(self._spline(np.clip(times, *self.limits)))
+    @cached_property
+    def _value(self) -> Any:
+        from scipy.interpolate import CubicSpline, PPoly  # slow to import
 
-    def lines(
-        self, begin: np.ndarray, end: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The straight line that acts in each stretch of time like the spline.
+        t, u = self.t, self.u
+        rise = np.diff(u) / np.diff(t) * (self.hold == "linear")
+        between = np.array([rise, u[:-1]])
+        if self.hold == "cubic" and len(t) > 1:
+            between = CubicSpline(t, u).c
+        coefficients = np.pad(between, ((0, 0), (1, 1)))
+        coefficients[-1, [0, -1]] = u[[0, -1]]
+        return PPoly(coefficients, np.r_[t[0] - 1.0, t, t[-1] + 1.0])
+
+    @cached_property
+    def _areas(self) -> tuple[Any, Any]:
+        return self._value.antiderivative(1), self._value.antiderivative(2)
+
+    def after(self, times: np.ndarray, order: int = 0) -> np.ndarray:
+        """Its value an instant later, behind a jump; or its slope, of order one."""
+        return np.asarray(self._value(times + self.instant, order))
+
+    def around(self, times: np.ndarray, order: int = 0) -> np.ndarray:
+        """The mean of both sides of a jump."""
+        before = self._value(times - self.instant, order)
+        return np.asarray((before + self.after(times, order)) / 2)
+
+    def lines(self, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """The straight line that acts in each stretch of time like the input.
 
         A step of an integrator takes its input from a line. That with the mean and the
-        first moment of the spline moves a mass as far, and leaves it as fast, as the
-        spline does. It need not meet the line of the next stretch.
+        first moment of the input moves a mass as far, and leaves it as fast, as the
+        input does. It need not meet the line of the next stretch.
+
+        Returns:
+            (4, n) values at the begin and at the end, and how fast both of them change
+            as the stretch is moved in time.
         """
-        first, middle, last = self(begin), self((begin + end) / 2), self(end)
-        # In s from -1 to 1 the spline is a0 + a1 s + a2 s^2 + a3 s^3. The closest line,
-        # which has its mean and moment, is a0 + a2/3 + (a1 + 3 a3/5) s.
-        half = (end - begin)[:, None] / 2
-        a1 = half * self._spline((begin + end) / 2, 1)
-        a2 = (first + last) / 2 - middle
-        a3 = (last - first) / 2 - a1
-        mean, rise = middle + a2 / 3, a1 + 3 * a3 / 5
-        return mean - rise, mean + rise
+        h = end - begin
+        area, areas = ((one(begin), one(end)) for one in self._areas)
+        mean = (area[1] - area[0]) / h
+        moment = h * (area[0] + area[1]) / 2 - (areas[1] - areas[0])
+        rise = 6 * moment / h**2
+        first, last = self.around(begin), self.around(end)
+        of_mean = (last - first) / h
+        of_rise = 3 * (first + last - 2 * mean) / h
+        ends = (mean - rise, mean + rise, of_mean - of_rise, of_mean + of_rise)
+        return np.array(ends)
 
 
 # ---- arrays --------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from phsi_opt.model.structure import position_rows
 from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.presentation.units import scale_of, spaced
-from phsi_opt.simulation.simulate import Runs, rates
+from phsi_opt.simulation.simulate import Runs, SampledInputs, rates
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.losses import MaximumLikelihood
 
@@ -356,12 +356,14 @@ class _FittedModel:
     def shown(self, experiment: Experiment, names: Sequence[str]) -> np.ndarray | None:
         """What sensors show, (n_samples, n_names); None: it cannot be simulated."""
         model = self.model
-        inputs = list(map(self.data.inputs.index, model.inputs))
-        hold = hold_of_each(self.data.hold, self.data.inputs)[inputs]
-        u = experiment.u[:, inputs]
-        x = self._runs.run(experiment.t, experiment.x0, u, hold, SHOWN_TOLERANCE)
+        columns = list(map(self.data.inputs.index, model.inputs))
+        hold = hold_of_each(self.data.hold, self.data.inputs)[columns]
+        u = experiment.u[:, columns]
+        inputs = SampledInputs.of(model, experiment.t, u, hold)
+        x = self._runs.run(inputs, experiment.x0, SHOWN_TOLERANCE)
         if x is None:
             return None
+        u = inputs.u[inputs.samples]
         (y,) = in_numbers(model.output(), x.T, u.T, experiment.t[None], model.theta)
         return y[list(map(model.index, names))].T
 

@@ -21,7 +21,7 @@ from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.model.slots import Entry
-from phsi_opt.model.symbolic import Expressions
+from phsi_opt.model.symbolic import Expressions, argument_symbols
 from phsi_opt.model_error.disturbances import Process
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.ipopt import Outcome
@@ -156,9 +156,15 @@ class Identified:
     def casadi(self) -> ca.Function:
         """The fitted model as a CasADi function (x, u, t) -> dx, with dx = dx/dt.
 
-        x is (n_states,), u (n_inputs,), t a number; the fitted numbers stand in it.
+        x is (n_states,), u (n_inputs,), t a number; the fitted numbers stand in it. An
+        input ``delayed(u, tau)`` is one more of u, behind the others.
         """
-        return rates(self.model.rhs(), self.model.theta)
+        function = rates(self.model.rhs(), self.model.theta)
+        x, u, t = argument_symbols(function)
+        n_late = len(self.model.delays)  # the slopes in them do not count
+        u = u[: u.numel() - n_late]
+        dx = function(x, ca.vertcat(u, *[0.0] * n_late), t)
+        return ca.Function("rates", [x, u, t], [dx], ["x", "u", "t"], ["dx"])
 
     def equations(self) -> list[str]:
         """The right-hand sides, one text per state: ``dp/dt = -c*p/m - k*q``.

@@ -29,7 +29,11 @@ from phsi_opt.model_error.joint_estimate import STEPS_OF_A_PROBLEM
 from phsi_opt.transcription.augmented_states import memory_start_bounds
 from phsi_opt.transcription.defects import between_samples
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
-from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.losses import (
+    MOST_PROGRAMS,
+    SAME_DELAY,
+    MaximumLikelihood,
+)
 from phsi_opt.transcription.parameter_vector import Theta
 
 
@@ -188,10 +192,19 @@ class LikelihoodProblem:
                 most = min(most_steps, settings.max_iterations)
                 settings = replace(settings, max_iterations=most)
             optimum = by_steps(values, settings, noise, start.sigma)
-        is_found = optimum is not None and optimum.solution.outcome.success
-        if optimum is None or not (is_found or most_steps is not None):
+        is_final = most_steps is not None
+        if optimum is None or not (is_final or optimum.solution.outcome.success):
             program = self.loss.program(values, l1, start.sigma)
             optimum = by_ipopt(program, settings, noise, start.sigma, optimum)
+            for _ in range(MOST_PROGRAMS if values.model.delays else 0):
+                found = optimum.solution.values
+                if np.allclose(found["theta"], values.point.theta, rtol=SAME_DELAY):
+                    break
+                x = found["x"].reshape(values.grid.y.shape)[values.grid.sample]
+                there = replace(start, theta=found["theta"])
+                values = self._values(replace(there, states=self.task.grid.split(x)))
+                program = self.loss.program(values, l1, start.sigma)
+                optimum = by_ipopt(program, settings, noise, start.sigma, None)
         self.task.say(
             f"maximum likelihood, {len(values.unknown)} parameters, "
             f"{values.point.x.size} states: {optimum.solution.outcome}"

@@ -35,7 +35,11 @@ from phsi_opt.estimation.likelihood_problem import (
 from phsi_opt.estimation.missing_force import smoothed
 from phsi_opt.estimation.optimum_checks import finer_steps, residual_warnings
 from phsi_opt.estimation.phsi_solve import PHSISolver, best_of_starts
-from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
+from phsi_opt.initialization.relative_guesses import (
+    corner_widths,
+    open_delays,
+    resolve_guesses,
+)
 from phsi_opt.initialization.scaling import kinematic_states, theta_scale
 from phsi_opt.initialization.starting_values import starting_values
 from phsi_opt.model.model import Model
@@ -62,7 +66,11 @@ def by_likelihood(problem: LikelihoodProblem, start: Fit | None) -> LikelihoodEs
 
     Refined where needed, and pruned.
     """
-    first = crude_start(problem) if start is None else from_fit(problem, start)
+    late = set(open_delays(problem.task.model))
+    if start is None or late - start.estimates.keys():
+        first = crude_start(problem)
+    else:
+        first = from_fit(problem, start)
     estimate = sharpened(problem, best_optimum(problem, first))
     if problem.loss.steps is None and problem.task.settings.thorough:
         estimate = _with_fine_steps(problem, estimate)

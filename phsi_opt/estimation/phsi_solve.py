@@ -22,7 +22,13 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solver
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.losses import PHSILoss, complete_intervals, mean_square_rate
+from phsi_opt.transcription.losses import (
+    MOST_PROGRAMS,
+    SAME_DELAY,
+    PHSILoss,
+    complete_intervals,
+    mean_square_rate,
+)
 from phsi_opt.transcription.parameter_vector import Theta
 
 # Objectives that differ by less, relative and absolute, are one optimum: the solver's
@@ -92,8 +98,13 @@ class PHSISolver:
             kept = list(map(known.model.free.index, model.free))
             sizes = known.point.theta_scale[kept]
             point = replace(known.point, theta=theta, theta_scale=sizes)
-        program = self.loss.program(model, self.grid, point, l1)
-        solution = Solver(program, self.task.settings).solve()
+        for _ in range(MOST_PROGRAMS if model.delays else 1):
+            program = self.loss.program(model, self.grid, point, l1)
+            solution = Solver(program, self.task.settings).solve()
+            theta = solution.values["theta"]
+            if np.allclose(theta, point.theta, rtol=SAME_DELAY):
+                break
+            point = replace(point, theta=theta)
         n_free = len(model.free)
         self.task.say(f"PHSI loss, {n_free} parameters: {solution.outcome}")
         return PHSIEstimate(
@@ -185,10 +196,7 @@ def best_of_starts(
     objectives = [e.solution.outcome.objective for e in estimates]
     limit = min(objectives) * (1 + SAME_OPTIMUM) + SAME_OPTIMUM_AT_ZERO
     n_agreeing = sum(objective <= limit for objective in objectives)
-    note = (
-        f"{n_agreeing} of {len(estimates)} starting frequencies led to the best "
-        "solution"
-    )
+    note = f"{n_agreeing} of {len(estimates)} starting values led to the best solution"
     return replace(best, notes=(note,))
 
 

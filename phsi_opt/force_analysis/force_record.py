@@ -37,7 +37,7 @@ class Points:
     @classmethod
     def middles(cls, record: Record) -> "Points":
         """The middle of every interval, where an estimate has the missing force."""
-        grid = record.estimate.grid
+        grid = record.estimate.grid.driven(record.model, record.theta)
         x = record.estimate.x
         middle = (x[grid.begin] + x[grid.begin + 1]) / 2
         u = (grid.u0 + grid.u1) / 2
@@ -149,7 +149,7 @@ class ForceRecord:
     @cached_property
     def folds_of_inputs(self) -> np.ndarray:
         """The same where functions of the inputs are judged, (n_intervals,)."""
-        return fold_numbers(self.run, self.points.u)
+        return fold_numbers(self.run, self.points.u[:, : len(self.model.inputs)])
 
     def variable(self, name: str) -> np.ndarray:
         """Values of a state, an effort, an input or the time ``t``, (n_intervals,)."""
@@ -157,7 +157,7 @@ class ForceRecord:
         known = {"t": self.t}
         known |= zip(model.efforts, self.efforts.T, strict=True)
         known |= zip(model.states, self.points.x.T, strict=True)
-        known |= zip(model.inputs, self.points.u.T, strict=True)
+        known |= zip(model.inputs, self.points.u.T, strict=False)
         return known[name]
 
 

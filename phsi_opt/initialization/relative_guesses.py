@@ -81,6 +81,24 @@ def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
     return model
 
 
+def shifts(grid: Grid) -> np.ndarray:
+    """Delays that are tried: those of every sample up to a tenth of a record."""
+    n = int(np.max(np.bincount(grid.trajectory[grid.sample]))) // 10
+    return _step(grid) * np.array([0.25, 0.5, *range(1, max(n, 3) + 1)])
+
+
+def open_delays(model: Model) -> list[str]:
+    """Delays of inputs that have no value to begin with."""
+    names = dict(model.delays).values()
+    return [name for name in names if model.entries[name].parameter.value is None]
+
+
+def _step(grid: Grid) -> float:
+    """The usual time between samples."""
+    is_inside = np.diff(grid.trajectory[grid.sample]) == 0
+    return float(np.median(np.diff(grid.t[grid.sample])[is_inside]))
+
+
 def _upper_bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
     """Upper bound of what is tried; none where it follows unmeasured states."""
     # Such states may change their scale.
@@ -107,8 +125,7 @@ def largest(model: Model, grid: Grid, x: np.ndarray, of: str) -> float:
         beginning = grid.t[grid.first][grid.trajectory]
         return float(np.max(grid.t - beginning))
     if of == "dt":
-        is_inside = np.diff(grid.trajectory[grid.sample]) == 0
-        return float(np.median(np.diff(grid.t[grid.sample])[is_inside]))
+        return _step(grid)
     values = values_at(model, grid, x, of)
     return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))) or 1.0
 
@@ -148,6 +165,7 @@ def values_at(
     Or at others of its free parameters, (n_free,).
     """
     theta = model.theta if theta is None else theta
+    grid = grid.driven(model, theta)
     (values,) = at_nodes(model.function(expression), grid, padded(model, x).T, theta)
     return values.ravel()
 
@@ -176,7 +194,8 @@ def check_rates(model: Model, grid: Grid) -> None:
         for factor, added in MOVED:
             theta = factor * resolved.theta + added
             t = grid.t[nodes][None, :]
-            (values,) = in_numbers(made, x[nodes].T, grid.u[nodes].T, t, theta)
+            u = grid.driven(resolved, theta).u[nodes].T
+            (values,) = in_numbers(made, x[nodes].T, u, t, theta)
             is_bad &= ~(np.abs(values) < LARGEST_VALUE)  # squares are numbers too
             if not is_bad.any():
                 return
@@ -218,7 +237,8 @@ def fast_motion(model: Model, grid: Grid, units: Mapping[str, str]) -> str:
     resolved = resolve_guesses(model, grid, known)
     is_motion = [name not in model.memory for name in model.states]
     some = slice(None, None, 1 + grid.n_nodes // 25)  # enough for a median
-    at = (known[some].T, grid.u[some].T, grid.t[None, some])
+    u = grid.driven(resolved, resolved.theta).u[some].T
+    at = (known[some].T, u, grid.t[None, some])
 
     def frequency(theta: np.ndarray) -> float:
         slopes = in_numbers(resolved.rhs_slopes("x"), *at, theta)[1].T

@@ -204,7 +204,7 @@ def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
 def _some_nodes(grid: Grid, x: np.ndarray) -> tuple[Grid, np.ndarray]:
     """`N_SLOPES` nodes of a grid, evenly spread, and the states there."""
     nodes = np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int)
-    return grid.at_nodes(nodes), x[nodes]
+    return grid.intervals(nodes[:0]).at_nodes(nodes), x[nodes]
 
 
 # ---- states by kinematics ----------------------------------------------------------
@@ -267,6 +267,7 @@ def _rates_and_slopes(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates (n_nodes, n_states), and slopes (n_nodes, n_states, n_states) in states."""
+    grid = grid.driven(model, theta)
     values, entries = at_nodes(model.rhs_slopes("x"), grid, x.T, theta)
     n = model.n_states
     return values.T, entries.T.reshape(grid.n_nodes, n, n)

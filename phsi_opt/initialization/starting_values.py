@@ -12,13 +12,13 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, product
 
 import casadi as ca
 import numpy as np
 
 from phsi_opt.data.noise import LEAST_SIZE
-from phsi_opt.initialization.relative_guesses import values_at
+from phsi_opt.initialization.relative_guesses import open_delays, shifts, values_at
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Scan
@@ -57,6 +57,12 @@ def starting_values(
         return float(np.nansum(np.square(d)))
 
     starts = [improved(model.theta, rounds=1)]
+    for name in open_delays(model):
+        place = model.free.index(name)
+        scanned = []
+        for theta, tau in product(starts, shifts(grid)):
+            scanned.append(improved(_with_entry(theta, place, tau), rounds=1))
+        starts = sorted(scanned, key=squared_defects)[:N_STARTS]
     linear = list(chain.from_iterable(groups))
     for scan in frequency_scans(model):
         scanned = []
@@ -89,7 +95,9 @@ def _linear_groups(model: Model) -> list[list[int]]:
         coefficients = [k for k in places if entries[k].prunable]
         linear = _with_linear(rates, theta, [], coefficients)
         others = [k for k in places if not entries[k].prunable]
+        late = open_delays(model)  # which are linear beside one value alone
         unknown = [k for k in others if entries[k].parameter.value is None]
+        unknown = [k for k in unknown if model.free[k] not in late]
         linear = _with_linear(rates, theta, linear, unknown)
         if linear:
             groups.append(sorted(linear))

@@ -186,7 +186,8 @@ class Hybrid(Identified):
     def _added(self, t: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """What the network adds to dx/dt, (n_states,)."""
         total = np.zeros(self.model.n_states)
-        total[self.force.rows] = self.force.at(np.r_[x, u, t][None])[0]
+        inputs = u[: len(self.model.inputs)]  # without delayed ones
+        total[self.force.rows] = self.force.at(np.r_[x, inputs, t][None])[0]
         return total
 
     def without_force(self) -> Fit:
@@ -288,6 +289,7 @@ class _Problem:
     def training_set(self, model: Model, force: np.ndarray) -> TrainingSet:
         """The stages of the integrator, and the mean force that is missing there."""
         forced, grid = self.forced(model, force)
+        grid = grid.driven(forced, forced.theta)
         theta = np.repeat(forced.theta[:, None], grid.n_intervals, axis=1)
 
         def rates(x: np.ndarray, share: float) -> np.ndarray:

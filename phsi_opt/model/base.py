@@ -19,7 +19,7 @@ from phsi_opt.arguments import is_of, require_known, typed
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.errors import ModelError, did_you_mean, shown
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
+from phsi_opt.model.expressions import RESERVED_IN_FORMULAS, delays_in
 from phsi_opt.model.kinds import checked_kinds
 from phsi_opt.model.parameters import Parameter, with_value
 from phsi_opt.model.slots import (
@@ -117,8 +117,18 @@ class BaseModel:
 
     @property
     def n_inputs(self) -> int:
-        """Number of inputs."""
-        return len(self.inputs)
+        """Number of inputs of its functions, two more for each that is delayed."""
+        return len(self.inputs) + 2 * len(self.delays)
+
+    @cached_property
+    def delays(self) -> tuple[tuple[str, str], ...]:
+        """Input and parameter of each delayed input ``delayed(u, tau)``.
+
+        To its functions u(t - tau) is ``value + tau slope``: the values are inputs
+        behind the measured ones, and the slopes behind these.
+        """
+        found = chain.from_iterable(delays_in(term.body) for *_, term in self.placed())
+        return tuple(dict.fromkeys(found))
 
     @property
     def variables(self) -> Variables:

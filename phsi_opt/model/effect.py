@@ -10,7 +10,7 @@ from types import UnionType
 
 from phsi_opt.arguments import require_known, typed
 from phsi_opt.errors import ModelError
-from phsi_opt.model.expressions import is_linear, names_of
+from phsi_opt.model.expressions import delays_in, is_linear, names_of
 from phsi_opt.model.parameters import Scan, Tried
 from phsi_opt.model.slots import SLOTS
 from phsi_opt.model.terms import Dictionary, Term, read_only
@@ -99,7 +99,16 @@ class Effect:
 
 def is_scanned(effect: Effect) -> bool:
     """Whether the effect has an inner parameter that is scanned."""
-    return _has_guess(effect.terms, Scan | Tried)
+    return is_delay(effect) or _has_guess(effect.terms, Scan | Tried)
+
+
+def has_no_size(effect: Effect) -> bool:
+    """Whether it changes how an input or a state acts, by no coefficient of its own.
+
+    An unknown force beside the model may have taken over what the input does; where the
+    model was fitted without one, it still does it.
+    """
+    return is_scanned(effect) and all(term.is_formula for term in effect.term)
 
 
 def is_wave(effect: Effect) -> bool:
@@ -110,6 +119,8 @@ def is_wave(effect: Effect) -> bool:
 def is_delay(effect: Effect) -> bool:
     """Whether the effect has a time that is sought among multiples of the sampling."""
     for term in effect.terms:
+        if delays_in(term.body):
+            return True
         for one in term.inner.values():
             if isinstance(one.guess, Tried) and one.guess.of == "dt":
                 return True

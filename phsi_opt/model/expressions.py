@@ -40,6 +40,7 @@ class Backend:
 FUNCTIONS = (
     *("sin", "cos", "tan", "atan", "exp", "log"),
     *("sqrt", "tanh", "abs", "sign", "min", "max"),
+    "delayed",
 )
 
 # Names that no state, input or parameter can have.
@@ -48,14 +49,15 @@ RESERVED_IN_FORMULAS = ("t", *FUNCTIONS, *CONSTANTS)
 
 def functions_of(library: Any, **other_names: str) -> dict[str, Callable[..., Any]]:
     """The functions of a library, some of which have another name there."""
-    names = {name: other_names.get(name, name) for name in FUNCTIONS}
-    return {name: getattr(library, called) for name, called in names.items()}
+    names = {name: other_names.get(name, name) for name in FUNCTIONS[:-1]}
+    found = {name: getattr(library, called) for name, called in names.items()}
+    return {**found, "delayed": lambda signal, delay: signal}  # of an unknown past
 
 
 CASADI = Backend(functions_of(ca, abs="fabs", min="fmin", max="fmax"))
 NUMPY = Backend(functions_of(np, atan="arctan", min="minimum", max="maximum"))
 
-TWO_ARGUMENTS = ("min", "max")  # the other functions take one
+TWO_ARGUMENTS = ("min", "max", "delayed")  # the other functions take one
 OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -260,6 +262,17 @@ def _names_below(tree: ast.AST) -> set[str]:
     return found - set(CONSTANTS)
 
 
+@lru_cache(maxsize=1024)
+def delays_in(text: str) -> tuple[tuple[str, str], ...]:
+    """What is delayed by what, in each ``delayed(u, tau)`` of a formula."""
+    found = []
+    for node in ast.walk(parse(text)):
+        match node:
+            case ast.Call(func=ast.Name(id="delayed"), args=[signal, delay]):
+                found.append((ast.unparse(signal), ast.unparse(delay)))
+    return tuple(found)
+
+
 def divisors(text: str) -> list[str]:
     """What a formula divides by, each before its factors; of c/(2*m) it is m."""
     found: list[ast.expr] = []
@@ -316,6 +329,8 @@ def _value(
         case ast.UnaryOp(op=sign, operand=operand):
             value = _value(operand, names, backend, text)
             return -value if isinstance(sign, ast.USub) else value
+        case ast.Call(func=ast.Name(id="delayed")) if ast.unparse(node) in names:
+            return names[ast.unparse(node)]
         case ast.Call(func=ast.Name(id=name), args=arguments):
             values = [_value(part, names, backend, text) for part in arguments]
             return backend.functions[name](*values)

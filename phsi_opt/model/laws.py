@@ -86,7 +86,7 @@ INNER_PARAMETERS = {
         *("{u}", 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98), most=1.0
     ),
     "lag_{u}_{x}": DELAY,
-    "delay_{u}_{x}": DELAY,
+    "delay_{u}_{x}": Parameter(lower=0.0, unit="s"),
     "play": _tried("{q}", 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, most=1.0),
     # Shares of the longest record; what takes longer is told from a constant by
     # nothing. A re-fit begins at the one in the middle: a second storage that follows
@@ -122,18 +122,16 @@ def _delayed(signal: str, tau: str, a: str) -> tuple[str, dict[str, str]]:
     return f"2*({a} - {signal}) + {tau}**2/5*{c}", {a: b, b: c, c: jerk}
 
 
-LATE_INPUT, INPUT_MEMORY = _delayed("{u}", "delay_{u}_{x}", "{u}_delayed_{x}")
 LATE_READING, READING_MEMORY = _delayed("{x}", "sensor_delay_{x}", "{x}_delayed")
 
 
 def delayed_signals(model: BaseModel) -> dict[str, tuple[str, str]]:
-    """The signal and the parameter of each delay, by the first state of its memory."""
+    """State and parameter of each delay of a sensor, by the first of its memory."""
     found = {}
     for state in model.memory:
-        signal, _, place = state.partition("_delayed")
+        signal = state.removesuffix("_delayed")
         if f"{state}_bend" in model.memory:
-            delay = f"delay_{signal}{place}" if place else f"sensor_delay_{signal}"
-            found[state] = (signal, delay)
+            found[state] = (signal, f"sensor_delay_{signal}")
     return found
 
 
@@ -153,7 +151,6 @@ def _bouc_wen(z: str, shape: str = "") -> str:
 MEMORIES: Mapping[str, Mapping[str, str]] = {
     # The force follows the lagged input z: lag dz/dt = u - z.
     "{u}_lagged_{x}": {"{u}_lagged_{x}": "({u} - {u}_lagged_{x})/lag_{u}_{x}"},
-    "{u}_delayed_{x}": INPUT_MEMORY,
     # A second storage z beside the state x, such as the walls around a room's air:
     # dx/dt = ... + c (z - x), tau dz/dt = x - z. With the capacities C1 and C2 and a
     # resistance R between the two, c = 1/(R C1) and tau = R C2, so that C2/C1 = c tau.
@@ -386,7 +383,6 @@ SHORTHAND = {
     "BOTH": "coulomb_friction_{x} >= 0; stribeck_friction_{x} >= 0",
     "DEAD": "min(max({u}, -dead_zone_{u}_{x}), dead_zone_{u}_{x})",
     "FULL": "min(max({u}, -saturation_{u}_{x}), saturation_{u}_{x})",
-    "LATE_INPUT": LATE_INPUT,
     "LATE_READING": LATE_READING,
     "OUTSIDE": "-max({q} - play, 0) + max(-{q} - play, 0)",
     "HELD": "hysteresis_force_{x} >= 0",
@@ -460,7 +456,7 @@ input gain{of_u} | | {slope}*{u} | {input_size} | input_gain_{u}_{x}
 input dead zone{of_u} | | -{slope}*DEAD | {input_size} | formula
 input saturation{of_u} | | -{slope}*({u} - FULL) | {input_size} | formula
 input lag{of_u} | | {slope}*({u}_lagged_{x} - {u}) | LATE | formula
-input delay{of_u} | | {slope}*(LATE_INPUT) | LATE | formula
+input delay{of_u} | | {slope}*(delayed({u}, delay_{u}_{x}) - {u}) | LATE | formula
 """,
 )
 # What stores energy; a gap is a spring with free play, to both sides.

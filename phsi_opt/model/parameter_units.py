@@ -299,6 +299,9 @@ class Equations:
             for other in others:
                 self.alike(first.form, other.form, first.form)
             return replace(first, value=None)
+        if name == "delayed":
+            self.alike(others[0].form, {"t": 1.0})
+            return replace(first, value=None)
         if name == "sqrt":
             return _Quantity(self, product({}, first.form, 0.5))
         if name in ("sin", "cos", "tan"):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from phsi_opt.data.checks import RESERVED_PREFIXES
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.model.expressions import is_linear, names_of
+from phsi_opt.model.expressions import delays_in, is_linear, names_of
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
 
@@ -164,6 +164,13 @@ class Variables:
         Raises:
             ModelError: it uses another name.
         """
+        for one in delays_in(placed.term.body):
+            if one[0] not in self.inputs or one[1] not in shared:
+                raise ModelError(
+                    f"delayed({', '.join(one)}) in {placed.term.body!r}: only an input "
+                    f"({', '.join(self.inputs)}) can be delayed, by a parameter of a "
+                    "formula."
+                )
         allowed = self.of_slot(placed.slot).union(placed.term.inner, shared)
         unknown = names_of(placed.term.body) - allowed
         if not unknown:

@@ -149,8 +149,13 @@ def function_of(
     u = ca.SX.sym("u", model.n_inputs)
     t = ca.SX.sym("t")
     theta = ca.SX.sym("theta", len(model.free))
-    values = {**model.values, **dict(zip(model.free, ca.vertsplit(theta), strict=True))}
-    parts = Expressions(model, ca.vertsplit(x), ca.vertsplit(u), t, values)
+    values: dict[str, Any] = dict(model.values)
+    values |= zip(model.free, ca.vertsplit(theta), strict=True)
+    n = len(model.inputs)
+    slopes = u[n + len(model.delays) :]
+    for k, (name, delay) in enumerate(model.delays):
+        values[f"delayed({name}, {delay})"] = u[n + k] + values[delay] * slopes[k]
+    parts = Expressions(model, ca.vertsplit(x), ca.vertsplit(u[:n]), t, values)
     result = ca.densify(value(parts))
     names = ["x", "u", "t", "theta"]
     return ca.Function(name, [x, u, t, theta], [result], names, ["value"])

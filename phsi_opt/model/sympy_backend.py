@@ -9,8 +9,13 @@ from sympy.printing.str import StrPrinter
 
 from phsi_opt.model.expressions import Backend, functions_of
 
+
+def _delayed(signal: Any, delay: Any) -> Any:
+    return sp.Function(signal.name, real=True)(sp.Symbol("t", real=True) - delay)
+
+
 SYMPY = Backend(
-    functions_of(sp, abs="Abs", min="Min", max="Max"),
+    {**functions_of(sp, abs="Abs", min="Min", max="Max"), "delayed": _delayed},
     number=sp.sympify,
     constants={"pi": sp.pi},
 )

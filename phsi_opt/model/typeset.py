@@ -1,7 +1,7 @@
 """The equations of a model as MathML, in the names of their states and parameters.
 
 SymPy writes them. The velocity of a position q has a dot, and a delay is written as
-u(t - 5.3 ms), not as the states that approximate it.
+u(t - 5.3 ms), that of a sensor too, which states approximate.
 """
 
 import re
@@ -70,6 +70,9 @@ def typeset_equations(
         symbols[name] = named(_name(name))
     x = list(map(symbols.__getitem__, model.states))
     u = list(map(symbols.__getitem__, model.inputs))
+    for name, delay in model.delays:
+        late = named(_late(name, values[delay], unit_of_time))
+        known[f"delayed({name}, {delay})"] = late
     instead: dict[Any, Any] = {}
     for state, (signal, delay) in delayed_signals(model).items():
         late = named(_late(signal, values[delay], unit_of_time))
@@ -92,7 +95,7 @@ def typeset_equations(
     lines = []
     for left, right in rows.items():
         found = without_steps(sp.sympify(right))
-        if instead:
+        if instead or model.delays:
             found = sp.expand(found.subs(instead))
         found = found.replace(lambda one: one.is_Float, _exact)
         text = _mathml(found).replace(TIMES, THIN_SPACE)

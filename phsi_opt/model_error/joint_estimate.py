@@ -49,6 +49,9 @@ SMALL_STEP = 1e-3
 UNMOVED = 0.05
 # Share of a step's length that the next one has, from which curvature takes part.
 SLOW = 0.3
+# Length of a step that does not shrink, in standard deviations, up to which a delay
+# stays: held inputs make kinks in its likelihood, over which steps go to and fro.
+BESIDE_KINK = 0.5
 # Parts of a step that are tried, each half of the one before; fewer of one with
 # curvature, which may lead uphill.
 MOST_TRIED = 8
@@ -190,6 +193,16 @@ class JointProblem:
         is_chained = is_many and bool(np.all(grid.measured[grid.sample]))
         return len(self.moving) > 0 and not is_chained
 
+    @cached_property
+    def _but_delays(self) -> np.ndarray:
+        """The parameters that move, without delays of inputs."""
+        unknown = self.values.unknown
+        model = unknown.model
+        delays = [
+            model.free.index(name) for _, name in model.delays if name in model.free
+        ]
+        return self.moving[~np.isin(unknown.owner[self.moving], delays)]
+
     def linearized(
         self,
         z: np.ndarray,
@@ -289,10 +302,11 @@ class JointProblem:
         else:
             linear = before.likelihood.problem
             linear = replace(linear, softness=self.softness, tilt=self.tilt)
-            likelihood = before.likelihood.relinearized(linear)
+            likelihood = before.likelihood.relinearized(linear, self.moving)
             place = replace(before.place, problem=self, likelihood=likelihood)
             contraction = before.contraction
         n_steps = 0
+        moving = self.moving
         passed: list[tuple[float, float]] = []
         has_converged = is_curved = False
         damping = 0.0
@@ -312,7 +326,8 @@ class JointProblem:
             if is_whole:
                 shorter = aim.length / length if n_steps > 1 else contraction
                 contraction, length = min(shorter, 1.0), aim.length
-            if self._may_curve and (not is_whole or contraction > SLOW):
+            is_slow = not is_whole or contraction > SLOW
+            if self._may_curve and is_slow:
                 is_curved = True
             if there is None:
                 damping = max(10 * damping, LEAST_STEP_DAMPING)
@@ -333,6 +348,11 @@ class JointProblem:
             if is_level(2 * np.array(objectives)) and there.violation < NEARLY_HELD:
                 has_converged = True
             place = there
+            if is_slow and length < BESIDE_KINK and len(self._but_delays) < len(moving):
+                moving = self._but_delays
+                likelihood = place.likelihood.with_moving(moving)
+                own = replace(self, moving=moving)
+                place = replace(place, problem=own, likelihood=likelihood)
         return JointEstimate(place, n_steps, has_converged, length, contraction)
 
     def _lower(

@@ -18,7 +18,13 @@ from itertools import product
 import numpy as np
 
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.initialization.relative_guesses import largest, resolve_guesses, values_at
+from phsi_opt.initialization.relative_guesses import (
+    largest,
+    open_delays,
+    resolve_guesses,
+    shifts,
+    values_at,
+)
 from phsi_opt.initialization.starting_values import frequency_grid
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -121,6 +127,7 @@ class ScoreTest:
         grid, states = self.linearized.grid, self.linearized.states
         model = base.add(effect)
         tried = {}
+        delays = open_delays(model)
         linear = []
         frequency = scanned = None
         for name, entry in model.entries.items():
@@ -133,6 +140,8 @@ class ScoreTest:
             if isinstance(guess, Tried) and parameter.value is None:
                 size = largest(model, grid, states, guess.of)
                 tried[name] = size * np.array(guess.shares)
+            if name in delays:
+                tried[name] = shifts(grid)
             if isinstance(guess, Scan) and frequency is None:
                 frequency = name
                 scanned = guess.variable if parameter.value is None else None

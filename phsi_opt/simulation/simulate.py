@@ -11,7 +11,7 @@ the steps change it by less than `TOLERANCE`. What cannot be made accurate in th
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from threading import get_ident
@@ -23,7 +23,7 @@ import scipy
 
 from phsi_opt.arguments import require_choice, typed
 from phsi_opt.data.checks import LARGEST_VALUE, Hold, hold_of_each
-from phsi_opt.data.trajectory import SmoothInputs
+from phsi_opt.data.trajectory import InputCurve
 from phsi_opt.errors import DataError, SolveError, shown, some_of
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
@@ -110,11 +110,19 @@ def simulate_forced(
     """
     t, x0, u = checked_arguments(model, t, x0, u)
     held = hold_of_each(hold, model.inputs)
+    if callable(u):
+        longest = float(np.max(np.diff(t)))
+        pieces = [(0, len(t) - 1, _with_delayed(model, u, t[0]), longest)]
+        samples = np.arange(len(t))
+    else:
+        inputs = SampledInputs.of(model, t, u, held)
+        t, samples = inputs.t, inputs.samples
+        pieces = list(inputs.pieces())
     f = BufferedFunction(model.rhs())
     states = np.full((len(t), model.n_states), np.nan)
     states[0] = x0
     size = max(float(np.max(np.abs(x0))), 1e-3)  # below, `atol` falls no more
-    for first, last, value, longest in _pieces(t, u, held):
+    for first, last, value, longest in pieces:
         rate = _Rate(f, model.theta, force, value, last - first)
         times = t[first : last + 1]
         with np.errstate(all="ignore"):
@@ -137,31 +145,51 @@ def simulate_forced(
             why = solution.message if is_finite.all() else unstable
             raise _stopped(times[n_good], why)
         states[first + 1 : last + 1] = y.T
-    return states
+    return states[samples]
 
 
 @dataclass(frozen=True, eq=False)
 class SampledInputs:
-    """The inputs (n_samples, n_inputs) of a record at any time.
+    """The inputs of a model's functions along a record, where its delays stay.
 
-    ``slope`` is that of the straight lines between the samples, zero for inputs that
-    are held; those that are smooth (``is_smooth``) go on a spline instead.
+    ``u`` (n, n_inputs) are those at times ``t``: the samples, at ``samples``, and where
+    delayed ones arrive. ``slope`` is that of the straight lines between them, zero for
+    inputs that are held (``is_held``); those that are ``smooth``, by their numbers, go
+    on a spline instead.
     """
 
     t: np.ndarray
     u: np.ndarray
+    samples: np.ndarray
     slope: np.ndarray
-    is_smooth: np.ndarray
-    smooth: SmoothInputs | None
+    is_held: np.ndarray
+    smooth: dict[int, InputCurve]
 
     @classmethod
-    def of(cls, t: np.ndarray, u: np.ndarray, hold: np.ndarray) -> "SampledInputs":
+    def of(
+        cls, model: Model, t: np.ndarray, u: np.ndarray, hold: np.ndarray
+    ) -> "SampledInputs":
         """From samples (n_samples, n_inputs), and what each input does between them."""
-        slope = np.diff(u, axis=0) / np.diff(t)[:, None]
-        slope[:, hold == "zero"] = 0.0
-        is_smooth = hold == "cubic"
-        smooth = SmoothInputs(t, u) if is_smooth.any() else None
-        return cls(t, u, slope, is_smooth, smooth)
+        curves = list(map(partial(InputCurve, t), u.T, hold))
+        moments = t
+        for name, delay in model.delays:
+            past = curves[model.inputs.index(name)]
+            late = replace(past, t=t + model.values[delay])
+            after = np.searchsorted(moments, late.t).clip(1, len(moments) - 1)
+            apart = np.abs(late.t - moments[[after - 1, after]]).min(axis=0)
+            new = late.t[(apart > past.instant) & (late.t < t[-1])]
+            moments = np.union1d(moments, new)
+            curves.append(late)
+        if model.delays:
+            columns = [curve.after(moments) for curve in curves]
+            slopes = np.zeros((len(moments), len(model.delays)))  # do not count
+            u = np.column_stack([*columns, slopes])
+        kinds = np.array([one.hold for one in curves] + ["zero"] * len(model.delays))
+        slope = np.diff(u, axis=0) / np.diff(moments)[:, None]
+        slope[:, kinds == "zero"] = 0.0
+        smooth = {k: one for k, one in enumerate(curves) if one.hold == "cubic"}
+        places = np.searchsorted(moments, t)
+        return cls(moments, u, places, slope, kinds == "zero", smooth)
 
     @cached_property
     def _times(self) -> list[float]:
@@ -171,30 +199,31 @@ class SampledInputs:
         """The inputs (n_inputs,) before a sample, whose jump is not seen yet."""
         left = min(max(bisect_right(self._times, time) - 1, 0), last - 1)
         value = self.u[left] + (time - self.t[left]) * self.slope[left]
-        if self.smooth is None:
-            return value
-        return np.where(self.is_smooth, self.smooth(time), value)
+        for k, curve in self.smooth.items():
+            value[k] = curve.after(np.array(time))
+        return np.asarray(value)
+
+    def pieces(self) -> Iterator[tuple[int, int, Input, float]]:
+        """First and last time, inputs and longest step of pieces without a jump."""
+        changes = np.any(np.diff(self.u[:-1, self.is_held], axis=0) != 0, axis=1)
+        ends = np.flatnonzero(changes) + 1
+        # No step may be longer than a sample, or a short pulse is stepped over.
+        longest = np.inf if self.is_held.all() else float(np.max(np.diff(self.t)))
+        for first, last in pairwise([0, *ends.tolist(), len(self.t) - 1]):
+            yield first, last, partial(self.at, last), longest
 
 
-def _pieces(
-    t: np.ndarray, u: Any, hold: np.ndarray
-) -> Iterator[tuple[int, int, Input, float]]:
-    """First and last sample, inputs and longest step of pieces with smooth inputs."""
-    # ``u`` (n_samples, n_inputs) may be a function of the time; ``hold`` (n_inputs,)
-    # says what each input does between its samples.
-    end = len(t) - 1
-    sample = float(np.max(np.diff(t)))
-    if callable(u):
-        yield 0, end, u, sample
-        return
-    inputs = SampledInputs.of(t, u, hold)
-    is_held = hold == "zero"
-    changes = np.any(np.diff(u[:-1, is_held], axis=0) != 0, axis=1)
-    ends = np.flatnonzero(changes) + 1
-    # No step may be longer than a sample, or a short pulse is stepped over.
-    longest = np.inf if is_held.all() else sample
-    for first, last in pairwise([0, *ends.tolist(), end]):
-        yield first, last, partial(inputs.at, last), longest
+def _with_delayed(model: Model, u: Input, begin: float) -> Input:
+    """Inputs that are a function of the time, with the delayed ones behind them."""
+
+    def value(time: float) -> np.ndarray:
+        late = []
+        for name, delay in model.delays:
+            at = max(time - model.values[delay], begin)
+            late.append(np.ravel(u(at))[model.inputs.index(name)])
+        return np.concatenate([np.ravel(u(time)), late, np.zeros(len(late))])
+
+    return value if model.delays else u
 
 
 class BufferedFunction:
@@ -329,14 +358,15 @@ def checked_arguments(
     if callable(u):
         check_function("u(t)", model.inputs, u, times[0])
         return times, start, u
-    expected = (len(times), model.n_inputs)
-    if u is None and model.n_inputs:
+    n_inputs = len(model.inputs)
+    expected = (len(times), n_inputs)
+    if u is None and n_inputs:
         raise DataError(
             f"the model has inputs ({', '.join(model.inputs)}); give u of shape "
             f"{expected}."
         )
     values = np.zeros((len(times), 0)) if u is None else _real_numbers(u, "u")
-    if values.ndim == 1 and model.n_inputs == 1:
+    if values.ndim == 1 and n_inputs == 1:
         values = values[:, None]
     if values.shape != expected or not np.all(np.abs(values) < LARGEST_VALUE):
         raise DataError(
@@ -373,7 +403,7 @@ def free_run(
     of_each = hold_of_each(hold, model.inputs)
     theta = tuple(model.theta.tolist())
     runs = _runs_of(model.rhs(), theta, get_ident())
-    found = runs.run(times, start, inputs, of_each)
+    found = runs.run(SampledInputs.of(model, times, inputs, of_each), start)
     return simulate(model, t, x0, u, hold=hold) if found is None else found
 
 
@@ -445,19 +475,10 @@ class Runs:
         self.loop = BufferedFunction(_step(rhs).mapaccum(CHUNK))
 
     def run(
-        self,
-        t: np.ndarray,
-        x0: np.ndarray,
-        u: np.ndarray,
-        hold: np.ndarray,
-        tolerance: float = TOLERANCE,
+        self, inputs: SampledInputs, x0: np.ndarray, tolerance: float = TOLERANCE
     ) -> np.ndarray | None:
-        """The states (n_samples, n_states); None where explicit steps do not serve.
-
-        ``hold`` (n_inputs,) is what each input does between its samples.
-        """
-        inputs = SampledInputs.of(t, u, hold)
-        steps = _first_steps(t)
+        """The states (n_samples, n_states); None where explicit steps do not serve."""
+        steps = _first_steps(inputs.t)
         aim = tolerance
         for _ in range(14):
             run = self._along(inputs, x0, steps)
@@ -466,14 +487,14 @@ class Runs:
                 fine = self._along(inputs, x0, _cut(steps, 2 * parts))
                 change = fine.change_from(run)
                 if change < tolerance:
-                    return fine.x
+                    return fine.x[inputs.samples]
                 if change > 0.1:  # no number of steps will do
                     return None
                 # Below what would be in proportion; from far off not at once.
                 aim *= max(0.3 * tolerance / change, 1e-3)
                 parts = _parts(run, aim)
             # This run, and one with half its steps.
-            if 3 * parts.sum() > MOST_STEPS_PER_GAP * len(t):
+            if 3 * parts.sum() > MOST_STEPS_PER_GAP * len(inputs.t):
                 return None
             steps = _cut(steps, parts)
         return None
@@ -513,10 +534,9 @@ def _columns(inputs: SampledInputs, steps: _Steps) -> np.ndarray:
     begin = inputs.t[steps.interval] + steps.since
     slope = inputs.slope[steps.interval]
     u = inputs.u[steps.interval] + slope * steps.since[:, None]
-    if inputs.smooth is not None:
-        first, last = inputs.smooth.lines(begin, begin + steps.h)
-        u = np.where(inputs.is_smooth, first, u)
-        slope = np.where(inputs.is_smooth, (last - first) / steps.h[:, None], slope)
+    for k, curve in inputs.smooth.items():
+        u[:, k], last, *_ = curve.lines(begin, begin + steps.h)
+        slope[:, k] = (last - u[:, k]) / steps.h
     columns = np.column_stack([begin, steps.h, u, slope])
     return np.pad(columns, ((0, -n_steps % CHUNK), (0, 0)))
 

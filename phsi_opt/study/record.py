@@ -359,14 +359,14 @@ class StudyRecord:
         force = analysis.force_in(effect.equation)
         larger = self.model_with(self.last.added).frozen()
         points = force.record.points
-        if effect.memory:  # which the smaller model does not have
+        if effect.memory or larger.delays:  # which the smaller model does not have
             middles = Points.middles(self._records(self.last.fit)[0])
             points = replace(middles, theta=points.theta)
         law = None
         variable = ""
         if len(points.t) == len(force.w):
             known = list(map(larger.states.index, frozen.states))
-            of_known = replace(points, x=points.x[:, known])
+            of_known = replace(force.record.points, x=points.x[:, known])
             rates = points.values(larger.rhs())[:, known]
             law = (rates - of_known.values(frozen.rhs()))[:, force.row]
             variable = _natural_variable(effect, larger)

@@ -93,7 +93,7 @@ class MemoryIntegration:
         For theta (n_free,) or (n_free, n_trajectories); the means of the memory over
         the intervals are (n_intervals, n_memory).
         """
-        grid = self.grid
+        grid = self.grid.driven(self.model, theta)
         n_old = self.x.shape[1]
         states = padded(self.model, self.x)
         means = np.zeros((grid.n_intervals, self.model.n_states - n_old))

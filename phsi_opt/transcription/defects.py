@@ -163,7 +163,8 @@ def defects(model: Model, grid: Grid, scheme: str, x: Any, theta: Any) -> Any:
     """Defects of all intervals, (n_states, n_intervals).
 
     States x (n_states, n_nodes) are symbols or numbers; parameters theta are (n_free,),
-    or (n_free, n_trajectories) where trajectories have parameters of their own.
+    or (n_free, n_trajectories) where trajectories have parameters of their own. The
+    grid is `Grid.driven` already.
     """
     function = defect(model, scheme)
     return map_intervals(function, grid, interval_arguments(grid, x), theta)
@@ -232,6 +233,7 @@ def defect_slopes(
     (n_intervals, n_states, 2 n_states + n_free).
     """
     function, places = linear_defect(model, scheme)
+    grid = grid.driven(model, theta)
     d, entries = in_intervals(function, grid, interval_arguments(grid, x.T), theta)
     n_states = model.n_states
     slopes = np.zeros((grid.n_intervals, n_states, 2 * n_states + len(theta)))
@@ -273,6 +275,7 @@ def parameter_slopes(
     """
     chosen = list(range(len(model.free))) if only is None else only
     function = _with_slopes(model, scheme, chosen, n_moving)
+    grid = grid.driven(model, theta)
     arguments = interval_arguments(grid, (grid.y if x is None else x).T)
     d, slopes = in_intervals(function, grid, arguments, theta)
     return ParameterSlopes(d.T, slopes.T.reshape(d.size, len(chosen)))
@@ -360,6 +363,7 @@ def _ends(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndar
     """The exact ends of intervals that begin at states x, (n_intervals, n_states)."""
     exact = model.built("exact", lambda: _fine_integration(model))
     begins = x[grid.begin].T
+    grid = grid.driven(model, theta)
     (ends,) = in_intervals(exact, grid, [begins, *known_arguments(grid)], theta)
     return ends.T
 

@@ -14,8 +14,9 @@ is a copy of another is left out: in all that follows it counts once.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.copies import copies_in, counted_once, sentence_about
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noticed import breaks_of
-from phsi_opt.data.trajectory import SmoothInputs, is_stepped
+from phsi_opt.data.trajectory import InputCurve, is_stepped
 from phsi_opt.errors import DataError, some_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
@@ -48,6 +49,10 @@ class Grid:
     # (n_intervals, n_inputs) input at its end, equal to u0 for a held input.
     u1: np.ndarray
     u: np.ndarray  # (n_nodes, n_inputs) input at each node
+    # (n_nodes,) number of the stretch of measurements of each node, and the inputs of
+    # each of these, by which they are delayed.
+    stretch: np.ndarray
+    past: Sequence[Sequence[InputCurve]]
 
     @property
     def n_nodes(self) -> int:
@@ -121,12 +126,13 @@ class Grid:
 
     def intervals(self, keep: np.ndarray) -> "Grid":
         """The same nodes with only the intervals ``keep``, given by their numbers."""
-        parts = {name: getattr(self, name)[keep] for name in ("begin", "h", "u0", "u1")}
+        names = ("begin", "h", "u0", "u1")
+        parts: dict[str, Any] = {name: getattr(self, name)[keep] for name in names}
         return replace(self, **parts)
 
-    def at_nodes(self, nodes: np.ndarray, **intervals: np.ndarray) -> "Grid":
+    def at_nodes(self, nodes: np.ndarray, **intervals: Any) -> "Grid":
         """Some of the nodes (n,), given by their numbers, with other intervals."""
-        names = ("t", "y", "trajectory", "sample", "u")
+        names = ("t", "y", "trajectory", "sample", "u", "stretch")
         parts = {name: getattr(self, name)[nodes] for name in names}
         return replace(self, **parts, **intervals)
 
@@ -134,6 +140,38 @@ class Grid:
         """The same intervals, each with two nodes of its own, one after the other."""
         nodes = np.column_stack([self.begin, self.begin + 1]).ravel()
         return self.at_nodes(nodes, begin=2 * np.arange(self.n_intervals))
+
+    def driven(self, model: Model, theta: Any) -> "Grid":
+        """With the delayed inputs of a model behind its measured ones.
+
+        Values and slopes in the delay, as `BaseModel.delays` has them, at parameters
+        (n_free,) or (n_free, n_trajectories); with symbols in their place all stays.
+        """
+        if not model.delays or not isinstance(theta, np.ndarray):
+            return self
+        known = np.broadcast_to(theta.T, (self.n_trajectories, len(model.free)))
+        n = self.n_intervals
+        run = np.r_[self.runs, self.runs, self.trajectory]
+        late = np.zeros((2, len(model.delays), len(run)))
+        for k, (name, delay) in enumerate(model.delays):
+            tau = np.full(self.n_trajectories, model.values[delay])
+            if delay in model.free:
+                tau = known[:, model.free.index(delay)]
+            for number in np.unique(self.stretch).tolist():
+                past = self.past[number][model.inputs.index(name)]
+                own = np.flatnonzero(self.stretch[self.begin] == number)
+                nodes = np.flatnonzero(self.stretch == number)
+                begin = self.t[self.begin[own]] - tau[self.runs[own]]
+                at = self.t[nodes] - tau[self.trajectory[nodes]]
+                first, last, *moved = past.lines(begin, begin + self.h[own])
+                places = np.r_[own, n + own, 2 * n + nodes]
+                late[0, k, places] = np.r_[first, last, past.after(at)]
+                late[1, k, places] = -np.r_[*moved, past.around(at, 1)]
+            late[0, k] -= tau[run] * late[1, k]
+        behind = np.split(late.reshape(-1, len(run)).T, [n, 2 * n])
+        measured = (one[:, : len(model.inputs)] for one in (self.u0, self.u1, self.u))
+        u0, u1, u = map(np.hstack, zip(measured, behind, strict=True))
+        return replace(self, u0=u0, u1=u1, u=u)
 
     def rates(self, x: np.ndarray) -> np.ndarray:
         """(x1 - x0)/h per interval, of values (n_nodes, n_states)."""
@@ -199,17 +237,25 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
     u = np.where(is_held, sampled[left], between)
     u0 = u[begin]
     u1 = np.where(is_held, u0, u[begin + 1])
-    is_smooth = hold == "cubic"
-    for number, run in enumerate(data.trajectories if is_smooth.any() else ()):
-        smooth = SmoothInputs(run.t, run.u)
-        nodes = trajectory == number
+    # A delayed or smooth input has no past beyond a gap.
+    is_new = np.append(False, (np.diff(trajectory) != 0) | is_break[left[:-1]])
+    stretch = np.cumsum(is_new)
+    past = []
+    for number in range(stretch[-1] + 1):
+        nodes = stretch == number
         own = nodes[begin]
-        first, last = smooth.lines(t[begin[own]], t[begin[own] + 1])
-        u[nodes] = np.where(is_smooth, smooth(t[nodes]), u[nodes])
-        u0[own] = np.where(is_smooth, first, u0[own])
-        u1[own] = np.where(is_smooth, last, u1[own])
+        samples = left[nodes & (place == 0)]
+        curves = tuple(
+            map(partial(InputCurve, times[samples]), sampled[samples].T, hold)
+        )
+        for k in np.flatnonzero(hold == "cubic"):
+            u[nodes, k] = curves[k].after(t[nodes])
+            ends = curves[k].lines(t[begin[own]], t[begin[own] + 1])
+            u0[own, k], u1[own, k] = ends[:2]
+        past.append(curves)
     h = t[begin + 1] - t[begin]
-    return Grid(t, y, trajectory, place == 0, begin, h, u0, u1, u)
+    of_inputs = (u0, u1, u, stretch, tuple(past))
+    return Grid(t, y, trajectory, place == 0, begin, h, *of_inputs)
 
 
 def steps_per_gap(grid: Grid) -> list[np.ndarray]:

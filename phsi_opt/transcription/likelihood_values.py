@@ -97,7 +97,8 @@ class LikelihoodValues:
         self, model: Model, grid: Grid, scheme: str, point: Point, unknown: Theta
     ) -> None:
         self.model = model
-        self.grid = grid
+        # For symbols, delayed inputs are linear in the delay beside that of the point.
+        self.grid = grid.driven(model, unknown.by_trajectory(point.theta))
         self.scheme = scheme
         self.point = point
         self.unknown = unknown
@@ -160,10 +161,11 @@ class LikelihoodValues:
     def at(self, z: np.ndarray) -> PointValues:
         """Defects and output of the sensors, with their slopes, at z (n_variables,)."""
         x, theta = self._unscaled(z)
+        grid = self.grid.driven(self.model, theta)
         function = self.linear_defect.function
-        arguments = interval_arguments(self.grid, x.T)
-        d, entries = in_intervals(function, self.grid, arguments, theta)
-        shown, of_shown = at_nodes(self._sensor, self.grid, x.T, theta)
+        arguments = interval_arguments(grid, x.T)
+        d, entries = in_intervals(function, grid, arguments, theta)
+        shown, of_shown = at_nodes(self._sensor, grid, x.T, theta)
         return PointValues(
             g=(d.T * self.per_size).ravel(),
             jacobian=(entries[self.order].T * self.factor).ravel(),
@@ -191,7 +193,8 @@ class LikelihoodValues:
         """
         x, theta = self._unscaled(z)
         weighted = multipliers.reshape(-1, self.n_states) * self.per_size
-        arguments = [*interval_arguments(self.grid, x.T), weighted.T]
+        grid = self.grid.driven(self.model, theta)
+        arguments = [*interval_arguments(grid, x.T), weighted.T]
         function = defect_curvature(self.model, self.scheme).function
         (entries,) = in_intervals(function, self.grid, arguments, theta)
         return entries.T.ravel() * self.curvature_factor

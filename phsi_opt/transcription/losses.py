@@ -31,6 +31,10 @@ from phsi_opt.transcription.likelihood_values import (
 )
 from phsi_opt.transcription.parameter_vector import Point, Theta
 
+# Programs, each linear in delays of inputs beside where the last one ended, and the
+# change, as a share, up to which these stay.
+MOST_PROGRAMS = 6
+SAME_DELAY = 1e-4
 MOST_COUNTED = 1000  # steps between samples, or starts; a program grows with the first
 
 
@@ -65,7 +69,7 @@ class PHSILoss:
             ModelError: the model has a sensor, or a parameter per trajectory.
             DataError: the data have no interval that is completely measured.
         """
-        used = complete_intervals(model, grid)
+        used = complete_intervals(model, grid).driven(model, point.theta)
         size = mean_square_rate(used)
         weight = np.sqrt(2 / (size * used.n_intervals))
         program = Program()

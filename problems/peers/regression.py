@@ -11,7 +11,7 @@ import numpy as np
 
 from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.trajectory import SmoothInputs
+from phsi_opt.data.trajectory import InputCurve
 from phsi_opt.errors import ModelError
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import aligned_once
@@ -75,9 +75,9 @@ def midpoint_rates(data: Measurements) -> tuple[np.ndarray, ...]:
     for run in data.trajectories:
         x, u, t = ((v[1:] + v[:-1]) / 2 for v in (run.x, run.u, run.t))
         u = np.where(hold == "zero", run.u[:-1], u)
-        if "cubic" in hold:
-            first, last = SmoothInputs(run.t, run.u).lines(run.t[:-1], run.t[1:])
-            u = np.where(hold == "cubic", (first + last) / 2, u)
+        for k in np.flatnonzero(hold == "cubic"):
+            curve = InputCurve(run.t, run.u[:, k], "cubic")
+            u[:, k] = curve.lines(run.t[:-1], run.t[1:])[:2].mean(axis=0)
         parts.append((x, u, t, np.diff(run.x, axis=0) / np.diff(run.t)[:, None]))
     return tuple(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
