@@ -1,5 +1,6 @@
 """Delays of inputs: the known past of an input is shifted, exactly."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -79,6 +80,34 @@ def test_a_dead_time_is_found_from_no_value(late: float, hold: str) -> None:
             hold=hold,
         )
         assert deviance(fit) < deviance(ph.identify(first_order("u"), shifted)) + 0.1
+
+
+def test_an_input_acts_after_several_delays() -> None:
+    """One in each equation, beside runs with a delay each."""
+    t = 0.2 * np.arange(300)
+    rng = np.random.default_rng(2)
+    numbers = {"L": ph.Parameter(lower=0), "M": ph.Parameter(0.3, lower=0)}
+    numbers["M"] = replace(numbers["M"], per_trajectory=True)
+    rates = {"x": "delayed(u, L) - x", "y": "x + delayed(u, M) - 2*y"}
+    known = {"x": {"L": 1.1}, "y": {"M": 0.5}}
+    runs, driven = [], []
+    for late in (0.5, 0.9):
+        known["y"]["M"] = late
+        exact = {k: ph.formula(rates[k], **known[k]) for k in rates}
+        u = np.repeat(rng.normal(size=30), 10)[:, None]
+        model = ph.FirstOrder(["x", "y"], exact, inputs=["u"])
+        x = ph.simulate(model, t, [0.0, 0.0], u, hold="zero")
+        runs.append(x + 0.005 * rng.standard_normal(x.shape))
+        driven.append(u)
+    data = ph.Measurements.from_arrays(
+        [t, t], runs, driven, states=["x", "y"], inputs=["u"], hold="zero"
+    )
+    own = {"x": {"L": numbers["L"]}, "y": {"M": numbers["M"]}}
+    sought = {k: ph.formula(rates[k], **own[k]) for k in rates}
+    fit = ph.identify(ph.FirstOrder(["x", "y"], sought, inputs=["u"]), data)
+    truth = {"L": 1.1, "M[run 1]": 0.5, "M[run 2]": 0.9}
+    for name, value in truth.items():
+        assert abs(fit.estimates[name] - value) < 3 * fit.std_errors[name] < 0.02
 
 
 def test_all_losses_and_solvers_find_it() -> None:

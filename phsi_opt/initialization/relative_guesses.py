@@ -82,21 +82,18 @@ def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
 
 
 def shifts(grid: Grid) -> np.ndarray:
-    """Delays that are tried: those of every sample up to a tenth of a record."""
-    n = int(np.max(np.bincount(grid.trajectory[grid.sample]))) // 10
-    return _step(grid) * np.array([0.25, 0.5, *range(1, max(n, 3) + 1)])
+    """Delays that are tried, those of every interval up to a tenth of a record."""
+    n = int(np.max(np.bincount(grid.trajectory))) // 10
+    return np.median(grid.h) * np.array([0.25, 0.5, *range(1, max(n, 3) + 1)])
 
 
 def open_delays(model: Model) -> list[str]:
     """Delays of inputs that have no value to begin with."""
-    names = dict(model.delays).values()
-    return [name for name in names if model.entries[name].parameter.value is None]
-
-
-def _step(grid: Grid) -> float:
-    """The usual time between samples."""
-    is_inside = np.diff(grid.trajectory[grid.sample]) == 0
-    return float(np.median(np.diff(grid.t[grid.sample])[is_inside]))
+    found = []
+    for _, name in model.delays:
+        if model.entries[name].parameter.value is None:
+            found.append(name)
+    return found
 
 
 def _upper_bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
@@ -125,7 +122,8 @@ def largest(model: Model, grid: Grid, x: np.ndarray, of: str) -> float:
         beginning = grid.t[grid.first][grid.trajectory]
         return float(np.max(grid.t - beginning))
     if of == "dt":
-        return _step(grid)
+        is_inside = np.diff(grid.trajectory[grid.sample]) == 0
+        return float(np.median(np.diff(grid.t[grid.sample])[is_inside]))
     values = values_at(model, grid, x, of)
     return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))) or 1.0
 
