@@ -24,7 +24,7 @@ from phsi_opt.force_analysis.dependence import CAUSES, leading
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.waves import period_of
-from phsi_opt.model.effect import Effect
+from phsi_opt.model.effect import Effect, is_delay
 from phsi_opt.model.kinds import turn_of
 from phsi_opt.model.structure import (
     effort_of,
@@ -186,7 +186,8 @@ def law_answer(analysis: ForceAnalysis, effect: Effect) -> Answer:
     channels = (*model.efforts, *model.states, *model.inputs, "t")
     known = filter(names.__contains__, channels)
     depends = dict.fromkeys(map(partial(plain_name, force), known))
-    return _said(force, "law", depends=depends, has_memory=bool(effect.memory))
+    has_memory = bool(effect.memory) or is_delay(effect)
+    return _said(force, "law", depends=depends, has_memory=has_memory)
 
 
 def dependence_title(force: EquationForce, variable: str) -> str:
