@@ -102,15 +102,6 @@ def is_scanned(effect: Effect) -> bool:
     return is_delay(effect) or _has_guess(effect.terms, Scan | Tried)
 
 
-def has_no_size(effect: Effect) -> bool:
-    """Whether it changes how an input or a state acts, by no coefficient of its own.
-
-    An unknown force beside the model may have taken over what the input does; where the
-    model was fitted without one, it still does it.
-    """
-    return is_scanned(effect) and all(term.is_formula for term in effect.term)
-
-
 def is_wave(effect: Effect) -> bool:
     """Whether the effect's terms are parts of a wave: their frequency is scanned."""
     return _has_guess(effect.term, Scan)
