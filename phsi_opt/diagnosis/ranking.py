@@ -21,7 +21,7 @@ from phsi_opt.sweeps.sweep import Progress, ahead
 
 NO_EVIDENCE = "no states follow the measurements with it"
 # Leaders of a list of screening that are weighed from a second place.
-MOST_LEADERS = 4
+MOST_LEADERS = 3
 
 
 @dataclass(eq=False)

@@ -3,7 +3,8 @@
 A beam of the likeliest models goes on from round to round: each is enlarged by the
 effects that screening expects to gain beside its force, and each that is new gives back
 one of its earlier effects, as the first may have stood in for what was found later.
-What ends a search is that no neighbour of the likeliest models is likelier than these.
+A search ends where no neighbour of the likeliest model is likelier, or where this is as
+likely without a force: then nothing is left to be found.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ from functools import partial, reduce
 
 import numpy as np
 
-from phsi_opt.criteria import STRONG_EVIDENCE
+from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.diagnosis.candidate import at_limit
 from phsi_opt.diagnosis.ranking import (
     Ranking,
@@ -87,13 +88,23 @@ class Search:
         best = None
         while self.known:
             ordered = self.in_order()
-            if ordered[0] is best:
+            if ordered[0] is best or (best and self._is_complete(ordered[0])):
                 return
             best = ordered[0]
             for one in [one for one in ordered if one.key not in seen][:BEAM_WIDTH]:
                 seen.add(one.key)
                 if len(one.effects) < MOST_EFFECTS:
                     self._enlarge(one)
+
+    def _is_complete(self, one: Combination) -> bool:
+        """Whether a model is as likely without any force."""
+        sizes = replace(one.weighed.disturbances, forces=())
+        start = replace(one.weighed, processes=None, disturbances=sizes)
+        with suppress(SolveError):
+            alone = self.ranking.record.weighing.weighed(start)
+            gain = one.weighed.log_evidence - alone.log_evidence
+            return gain < DECISIVE_EVIDENCE
+        return False
 
     def in_order(self) -> list[Combination]:
         """What was weighed, the likeliest first."""

@@ -30,6 +30,7 @@ from phsi_opt.transcription.grid import steps_per_gap
 
 # Share of the present width over which the slope of the deviance is taken.
 NEARBY_WIDTH = 0.99
+STEPS_OF_A_STAGE = 15  # in a brief re-fit
 MOST_SECANTS = 3  # between a width that is too blunt and one that is too sharp
 
 
@@ -134,7 +135,10 @@ class _Sharpening:
         there = StartingPoint.at(estimate, steps)
         there = replace(there, model=model.with_values(widths), is_optimum=True)
         with suppress(PhsiOptError):
-            found = problem.solve_from(there)
+            if task.settings.thorough:
+                found = problem.solve_from(there)
+            else:  # few full steps lead there, or hardly anything does
+                found = problem.solve(there, most_steps=STEPS_OF_A_STAGE)
             return found if found.is_success else None
         return None
 
