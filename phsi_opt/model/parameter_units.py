@@ -14,8 +14,8 @@ equation is asked by itself.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import compress
-from typing import Any
+from itertools import chain, compress
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,9 +50,8 @@ Form = Mapping[str, float]
 
 def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
     """The unit of every parameter, "" where it is not known."""
-    known = _known(units)
-    found = _solved(model, known)
-    time = known.get("t", "")
+    found = _solved(model, units)
+    time = units.get("t", "")
     told = {}
     for name, entry in model.entries.items():
         parameter = entry.parameter
@@ -67,7 +66,7 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
         if isinstance(guess, Scan) and guess.variable == "t":
             told[name] = f"{RADIAN}/{time}" if time else parameter.unit
         else:
-            named = named_units(entry.equation, model, known)
+            named = named_units(entry.equation, model, units)
             told[name] = coefficient_unit(found[name], named)
             scale = scale_of(told[name])
             if entry.slot == "sensor" and entry.prunable and scale.zero:
@@ -112,19 +111,13 @@ def named_units(
 
 def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
     """The unit of every state: as given, or as the equations ask for; "" if unknown."""
-    known = _known(units)
-    found = _solved(model, known)
+    found = _solved(model, units)
     told = {}
     for state in model.states:
-        told[state] = known.get(state, "")
+        told[state] = units.get(state, "")
         if not told[state] and found.get(state):
             told[state] = coefficient_unit(found[state], (MOMENTUM,))
     return told
-
-
-def _known(units: Mapping[str, str]) -> dict[str, str]:
-    """The units without those that are empty."""
-    return {name: unit for name, unit in units.items() if unit}
 
 
 def stated_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
@@ -176,8 +169,7 @@ def _unambiguous(unit: str) -> Powers | None:
     return None if powers and "C" in powers else powers
 
 
-@dataclass(frozen=True)
-class Likeness:
+class Likeness(NamedTuple):
     """A form that has no dimension.
 
     ``is_angle``: it may have the dimension of the radian; ``is_number``: a number
@@ -244,15 +236,15 @@ class Equations:
             return
         states = self._model.states
         for state, couplings in zip(states, self._model.S, strict=True):
-            self.alike(self._effort(state), _quotient(WHOLE_ENERGY, state))
+            self.alike(self._effort(state), {WHOLE_ENERGY: 1.0, state: -1.0})
             for other, coupling in zip(states, couplings, strict=True):
                 if abs(coupling) == 1.0:
-                    self.alike(self._effort(other), _quotient(state, "t"))
+                    self.alike(self._effort(other), {state: 1.0, "t": -1.0})
 
     def _say_term(self, placed: PlacedTerm) -> None:
         """A term has the unit of its slot."""
         slot, equation, term = placed
-        rate = _quotient(equation, "t")
+        rate: Form = {equation: 1.0, "t": -1.0}
         names = self._variables(rate)
         for inner in term.inner:
             names[inner] = {placed.parameter_name(inner): 1.0}
@@ -321,25 +313,23 @@ class Equations:
         other.
         """
         said = [one for one in self.said if numbers_are_pure or not one.is_number]
-        names = dict.fromkeys(name for likeness in said for name in likeness.form)
+        names = dict.fromkeys(chain.from_iterable(one.form for one in said))
         unknown = [name for name in names if name not in known]
         rows = _rows(said, unknown)
         known_rows = _rows(said, list(known))
-        without_angles = np.array([not one.is_angle for one in said], dtype=bool)
-        _, determined = _least_squares(rows, np.zeros(len(said)))
-        found: dict[str, Any] = {}
-        for name in compress(unknown, determined):
-            found[name] = {}
-        for unit in sorted({unit for powers in known.values() for unit in powers}):
+        whole = _inverse(rows)
+        found: dict[str, Any] = {name: {} for name in compress(unknown, whole[1])}
+        for unit in sorted(set().union(*known.values())):
             given = np.array([powers.get(unit, 0.0) for powers in known.values()])
             right = -(known_rows @ given)
             kept = np.full(len(said), fill_value=True)
             if unit == RADIAN:
                 loses_it = ~np.any(rows, axis=1) & (np.abs(right) > POWER_ROUNDING)
+                without_angles = np.array([not one.is_angle for one in said], bool)
                 kept = without_angles & ~loses_it
-            right = right[kept]
-            powers, determined = _least_squares(rows[kept], right)
-            if np.any(np.abs(rows[kept] @ powers - right) > POWER_ROUNDING):
+            inverse, determined = whole if kept.all() else _inverse(rows[kept])
+            powers = inverse @ right[kept]
+            if np.any(np.abs(rows[kept] @ powers - right[kept]) > POWER_ROUNDING):
                 if unit == RADIAN:
                     continue
                 return None
@@ -394,14 +384,7 @@ def _rows(said: Sequence[Likeness], names: Sequence[str]) -> np.ndarray:
     return rows
 
 
-def _least_squares(
-    rows: np.ndarray, right: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The least squares solution, and whether the rows determine each unknown."""
+def _inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What solves by least squares, and whether the rows determine each unknown."""
     inverse = np.linalg.pinv(rows, rcond=POWER_ROUNDING)
-    resolution = np.diag(inverse @ rows)
-    return inverse @ right, np.abs(resolution - 1.0) < POWER_ROUNDING
-
-
-def _quotient(above: str, below: str) -> Form:
-    return product({above: 1.0}, {below: 1.0}, -1.0)
+    return inverse, np.abs(np.diag(inverse @ rows) - 1.0) < POWER_ROUNDING

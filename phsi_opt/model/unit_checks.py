@@ -6,13 +6,11 @@ differ by 1000. A term without a parameter may hide a constant of physics (p**2/
 mass of 1 kg), so that only what contradicts itself whatever is hidden is a fault.
 """
 
-import itertools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import log
 from operator import attrgetter
-from typing import Any
 
 import numpy as np
 
@@ -82,9 +80,9 @@ class UnitCheck:
     def _of_parameters(self) -> list[str]:
         return list(filter(self.model.entries.__contains__, self._stated))
 
-    def _others(self, names: Iterable[str]) -> list[str]:
+    def _others(self, names: Collection[str]) -> list[str]:
         """All quantities with a unit but these."""
-        return list(itertools.filterfalse(set(names).__contains__, self._stated))
+        return [name for name in self._stated if name not in names]
 
     def _in_other_units(self, names: Iterable[str]) -> list[str]:
         return [name for name in names if self._measure(name).size != 1.0]
@@ -95,17 +93,13 @@ class UnitCheck:
         return Equations(self.model), Equations(self.model, may_hide=True)
 
     def _solved(
-        self, powers: Callable[[Measure], Powers], without: Iterable[str] = ()
+        self, powers: Callable[[Measure], Powers], without: Collection[str] = ()
     ) -> dict[str, Powers] | None:
         """Powers of what has no unit, by its name; None for a contradiction."""
-        known = {}
-        for name in self._others(without):
-            known[name] = powers(self._measure(name))
-        for equations in self._equations:
-            found = equations.solved(known, numbers_are_pure=False)
-            if found is not None:
-                return found
-        return None
+        known = {name: powers(self._measure(name)) for name in self._others(without)}
+        plain, with_constants = self._equations
+        found = plain.solved(known, numbers_are_pure=False)
+        return with_constants.solved(known, False) if found is None else found
 
     # ---- faults ----------------------------------------------------------------------
 
@@ -132,9 +126,8 @@ class UnitCheck:
     def negative(self) -> UnitFault | None:
         """A mass or the like that is known to be negative, or a loss that is none."""
         for slot, equation, term in self.model.placed():
-            names: dict[str, Any] = dict.fromkeys(names_of(term.body), SOME_VALUES)
-            for name, one in term.inner.items():
-                names[name] = _assumed(one)
+            inner = {name: _assumed(one) for name, one in term.inner.items()}
+            names = dict.fromkeys(names_of(term.body), SOME_VALUES) | inner
             for text in divisors(term.body):
                 known = term.inner.get(text)
                 if known is not None and known.fixed and known.start < 0:
@@ -142,9 +135,8 @@ class UnitCheck:
                         "it divides in the model, as a mass, a capacity or a time "
                         "constant, which is positive; remove the sign."
                     )
-                    return UnitFault(
-                        text, said, scale_of(known.unit).shown(known.start)
-                    )
+                    told = scale_of(known.unit).shown(known.start)
+                    return UnitFault(text, said, told)
             with np.errstate(all="ignore"):
                 loss = evaluate(term.body, names, NUMPY) if slot == "R" else 0.0
             if np.all(loss * _assumed(term.coefficient) < 0):
@@ -217,9 +209,8 @@ class UnitCheck:
             for number in (one.upper, one.lower, one.value):
                 if number and np.isfinite(number) and not one.unit:
                     numbers[name] = number
-        for name, (number, _) in self._equations[0].numbers.items():
-            numbers[name] = number
-        return numbers
+        of_formulas = self._equations[0].numbers
+        return numbers | {name: number for name, (number, _) in of_formulas.items()}
 
     def _listed(self, names: Iterable[str]) -> str:
         """Such as "q in mm, t in ms"."""
@@ -237,9 +228,8 @@ class UnitCheck:
         """
         wrong = self.negative
         if wrong is not None:
-            place = (
-                place_of(wrong.slot, wrong.equation) or f"{wrong.name}={wrong.value}"
-            )
+            of_parameter = f"{wrong.name}={wrong.value}"
+            place = place_of(wrong.slot, wrong.equation) or of_parameter
             raise ModelError(f"{place}: {wrong.said}")
         wrong = self.contradiction
         if wrong is not None:
