@@ -215,7 +215,7 @@ class DescentRun:
             after_epoch=self.after_epoch,
             progress=progress,
         )
-        names = {term.coefficient_name("H") for term in self.model.H}
+        names = {term.parameter_name("H") for term in self.model.H}
         if names and names <= set(self.removed):
             raise SolveError(
                 "pruning removed every term of H: all fell below "

@@ -326,7 +326,7 @@ def _next_change(
 
 
 def _check_rest(model: Model, removed: set[str], pruning: Pruning) -> None:
-    energy = {term.coefficient_name("H") for term in model.H}
+    energy = {term.parameter_name("H") for term in model.H}
     if removed and set(model.free) <= removed:
         what = "every term"
     elif removed and energy and energy <= removed:

@@ -233,10 +233,10 @@ def _term(fit: FitRecord, term: Term, place: str, number: int) -> str:
         name = match[0]
         if name not in term.inner:
             return name
-        return f"({_estimate(fit, term.inner_name(name, place))})"
+        return f"({_estimate(fit, term.parameter_name(place, name))})"
 
     # In one pass: a unit that was put in may have the name of another parameter.
-    coefficient = f"({_estimate(fit, term.coefficient_name(place))})"
+    coefficient = f"({_estimate(fit, term.parameter_name(place))})"
     return term.product(coefficient, IDENTIFIER.sub(estimate_of, term.body))
 
 

@@ -24,13 +24,13 @@ from phsi_opt.model.kinds import checked_kinds
 from phsi_opt.model.parameters import Parameter, with_value
 from phsi_opt.model.slots import (
     BY_EQUATION,
+    SLOTS,
     Entry,
     PlacedTerm,
     Variables,
     parameter_table,
-    place_of,
 )
-from phsi_opt.model.terms import Dictionary, check_number_of_terms
+from phsi_opt.model.terms import Dictionary, Term, check_number_of_terms
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -237,18 +237,11 @@ class BaseModel:
     def without(self, names: set[str]) -> Self:
         """A new model without the terms whose coefficients are named."""
 
-        def kept(place: str, terms: Dictionary) -> Dictionary:
-            rest = [
-                term
-                for term in terms
-                if term.is_formula or term.coefficient_name(place) not in names
-            ]
-            return Dictionary(tuple(rest))
+        def kept(place: str, term: Term) -> Term | None:
+            is_kept = term.is_formula or term.parameter_name(place) not in names
+            return term if is_kept else None
 
-        slots = self._changed_slots(kept)
-        for slot in BY_EQUATION:
-            slots[slot] = {name: terms for name, terms in slots[slot].items() if terms}
-        return replace(self, **slots)
+        return self._with_terms(kept)
 
     @typed
     def with_values(self, values: Mapping[str, float]) -> Self:
@@ -326,23 +319,21 @@ class BaseModel:
         def chosen(name: str, parameter: Parameter) -> Parameter:
             return change(name, parameter) if name in names else parameter
 
-        def changed(place: str, terms: Dictionary) -> Dictionary:
-            return Dictionary(
-                tuple(term.with_parameters(place, chosen) for term in terms)
-            )
+        return self._with_terms(lambda place, one: one.with_parameters(place, chosen))
 
-        return replace(self, **self._changed_slots(changed))
-
-    def _changed_slots(
-        self, change: Callable[[str, Dictionary], Dictionary]
-    ) -> dict[str, Any]:
-        """The slots with each sum of terms (by the name of its place) changed."""
-        slots: dict[str, Any] = {"H": change("H", self.H)}
-        for slot in BY_EQUATION:
-            slots[slot] = {}
-            for equation, terms in getattr(self, slot).items():
-                slots[slot][equation] = change(place_of(slot, equation), terms)
-        return slots
+    def _with_terms(self, change: Callable[[str, Term], Term | None]) -> Self:
+        """A new model with each term changed, by the name of its place; None: gone."""
+        slots: dict[str, Any] = {slot: {} for slot in SLOTS}
+        for placed in self.placed():
+            slot, equation, term = placed
+            changed = change(placed.place, term)
+            if changed is not None:
+                slots[slot].setdefault(equation, []).append(changed)
+        for slot, equations in slots.items():
+            for equation, terms in equations.items():
+                slots[slot][equation] = Dictionary(tuple(terms))
+        slots["H"] = slots["H"].get("", Dictionary())
+        return replace(self, **slots)
 
 
 def checked_structure(S: Any, n: int) -> tuple[tuple[float, ...], ...]:

@@ -6,12 +6,11 @@ The record only; which effects there are is in the tables of ``laws``.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
-from types import UnionType
 
 from phsi_opt.arguments import require_known, typed
 from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import delays_in, is_linear, names_of
-from phsi_opt.model.parameters import Scan, Tried
+from phsi_opt.model.parameters import Scan, Share, Tried
 from phsi_opt.model.slots import SLOTS
 from phsi_opt.model.terms import Dictionary, Term, read_only
 from phsi_opt.presentation.numbers import number_of
@@ -91,31 +90,28 @@ class Effect:
         """Number of its free parameters and of its memory's states."""
         names = set()
         for number, term in enumerate(self.terms):
-            if term.coefficient is not None and not term.coefficient.fixed:
-                names.add(term.name or str(number))
-            names |= {name for name, one in term.inner.items() if not one.fixed}
+            for inner, one in term.parameters.items():
+                if not one.fixed:
+                    names.add(inner or term.name or str(number))
         return len(names) + len(self.memory)
 
 
 def is_scanned(effect: Effect) -> bool:
     """Whether the effect has an inner parameter that is scanned."""
-    return is_delay(effect) or _has_guess(effect.terms, Scan | Tried)
+    guesses = _guesses(effect.terms)
+    return is_delay(effect) or any(isinstance(one, Scan | Tried) for one in guesses)
 
 
 def is_wave(effect: Effect) -> bool:
     """Whether the effect's terms are parts of a wave: their frequency is scanned."""
-    return _has_guess(effect.term, Scan)
+    return any(isinstance(one, Scan) for one in _guesses(effect.term))
 
 
 def is_delay(effect: Effect) -> bool:
     """Whether the effect has a time that is sought among multiples of the sampling."""
-    for term in effect.terms:
-        if delays_in(term.body):
-            return True
-        for one in term.inner.values():
-            if isinstance(one.guess, Tried) and one.guess.of == "dt":
-                return True
-    return False
+    if any(delays_in(term.body) for term in effect.terms):
+        return True
+    return "dt" in [getattr(one, "of", "") for one in _guesses(effect.terms)]
 
 
 def is_decay(effect: Effect) -> bool:
@@ -129,9 +125,9 @@ def is_decay(effect: Effect) -> bool:
     return effect.slot == "R" and not names
 
 
-def _has_guess(terms: Iterable[Term], kind: type | UnionType) -> bool:
-    parameters = chain.from_iterable(term.inner.values() for term in terms)
-    return any(isinstance(one.guess, kind) for one in parameters)
+def _guesses(terms: Iterable[Term]) -> list[Scan | Share | Tried | None]:
+    """Those of the parameters inside the terms."""
+    return [one.guess for term in terms for one in term.inner.values()]
 
 
 class EffectList(Summarised, list[Effect]):

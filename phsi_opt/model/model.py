@@ -310,12 +310,5 @@ class FirstOrder(Model):
                 "a FirstOrder model has no S and no H; "
                 "use PseudoHamiltonian, or put the terms into F."
             )
-        super().__init__(
-            states=states,
-            F=F,
-            inputs=inputs,
-            R=R,
-            sensor=sensor,
-            memory=memory,
-            kind=kind,
-        )
+        others: dict[str, Any] = {"R": R, "sensor": sensor, "kind": kind}
+        super().__init__(states=states, F=F, inputs=inputs, memory=memory, **others)

@@ -54,18 +54,14 @@ class PlacedTerm(NamedTuple):
 
     def parameter_name(self, inner: str = "") -> str:
         """Name in the model of its coefficient, or of an inner parameter."""
-        if inner:
-            return self.term.inner_name(inner, self.place)
-        return self.term.coefficient_name(self.place)
+        return self.term.parameter_name(self.place, inner)
 
     def entries(self) -> list[Entry]:
         """The term's parameters, by their names in the model; its coefficient first."""
         found = []
-        for inner, one in {"": self.term.coefficient, **self.term.inner}.items():
-            if one is not None:
-                at = (self.slot, self.equation)
-                name = self.parameter_name(inner)
-                found.append(Entry(name, one, *at, prunable=not inner))
+        for inner, one in self.term.parameters.items():
+            name = self.parameter_name(inner)
+            found.append(Entry(name, one, self.slot, self.equation, not inner))
         return found
 
 

@@ -117,9 +117,7 @@ def _velocity(model: BaseModel, position: str) -> str:
     (velocity,) = names
     are_told = {position, velocity} <= set(model.kind)
     known = {"": 1.0}
-    for name, one in {"": term.coefficient, **term.inner}.items():
-        if one is None:
-            continue
+    for name, one in term.parameters.items():
         known[name] = one.start if one.fixed else 1.0  # only its sign is asked for
         if not one.fixed and not (are_told and one.lower >= 0):
             return ""
@@ -140,13 +138,9 @@ def kind_of(model: BaseModel, state: str) -> str:
         return str(model.kind[state])
     for pair in position_of_momentum(model).items():
         if state in pair:
-            return _kind_of_pair(model, pair)
+            told = [model.kind[name] for name in pair if name in model.kind]
+            return str(told[0]) if told else MECHANICAL
     return ""
-
-
-def _kind_of_pair(model: BaseModel, pair: tuple[str, str]) -> str:
-    told = [model.kind[name] for name in pair if name in model.kind]
-    return str(told[0]) if told else MECHANICAL
 
 
 def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
@@ -193,9 +187,8 @@ def forced_rows(model: BaseModel) -> tuple[int, ...]:
     dq/dt = dH/dp is kinematics. A capacitor may leak, and so may a chamber.
     """
     kinematic = set(model.memory)
-    for pair in position_of_momentum(model).items():
-        _, position = pair
-        if model.kind.get(position, _kind_of_pair(model, pair)) == MECHANICAL:
+    for position in position_of_momentum(model).values():
+        if kind_of(model, position) == MECHANICAL:
             kinematic.add(position)
     rows = [row for row, name in enumerate(model.states) if name not in kinematic]
     return tuple(rows)

@@ -41,14 +41,9 @@ class Expressions:
         if not self.model.has_energy:
             return list(self.x)
         if self.backend is not CASADI:
-            return [
-                self.energy.diff(name) if self.energy != 0 else 0 for name in self.x
-            ]
-        if not isinstance(
-            self.energy, ca.SX
-        ):  # a number: no terms, or none with a state
-            return ca.vertsplit(ca.SX.zeros(len(self.x)))
-        return ca.vertsplit(ca.gradient(self.energy, ca.vertcat(*self.x)))
+            return [self._slope(self.energy, name) for name in self.x]
+        energy = ca.SX(self.energy)  # a number, where no term has a state
+        return ca.vertsplit(ca.gradient(energy, ca.vertcat(*self.x)))
 
     @cached_property
     def loss(self) -> list[Any]:

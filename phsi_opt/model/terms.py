@@ -81,15 +81,17 @@ class Term:
             return coefficient
         return f"{coefficient}*{f'({body})' if needs_brackets(self.body) else body}"
 
-    def coefficient_name(self, place: str) -> str:
-        """Name of the coefficient at a place such as 'H' or 'F_p'."""
-        if self.name:
-            return self.name
-        return place if self.body == "1" else f"{place}[{self.body}]"
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """All its parameters by their names in it; the coefficient is called ""."""
+        coefficient = {} if self.coefficient is None else {"": self.coefficient}
+        return {**coefficient, **self.inner}
 
-    def inner_name(self, name: str, place: str) -> str:
-        """Name of an inner parameter in the model."""
-        return name if self.is_formula else f"{self.name or place}.{name}"
+    def parameter_name(self, place: str, inner: str = "") -> str:
+        """Name in the model of a parameter of the term at a place such as 'F_p'."""
+        if inner:
+            return inner if self.is_formula else f"{self.name or place}.{inner}"
+        return self.name or (place if self.body == "1" else f"{place}[{self.body}]")
 
     def with_parameters(
         self, place: str, change: Callable[[str, Parameter], Parameter]
@@ -100,14 +102,10 @@ class Term:
             place: where the term stands.
             change: a parameter's name in the model and the parameter -> the new one.
         """
-        coefficient = self.coefficient
-        if coefficient is not None:
-            coefficient = change(self.coefficient_name(place), coefficient)
-        inner = {
-            name: change(self.inner_name(name, place), parameter)
-            for name, parameter in self.inner.items()
-        }
-        return replace(self, coefficient=coefficient, inner=inner)
+        changed = {}
+        for inner, parameter in self.parameters.items():
+            changed[inner] = change(self.parameter_name(place, inner), parameter)
+        return replace(self, coefficient=changed.pop("", None), inner=changed)
 
 
 @dataclass(frozen=True)
