@@ -65,8 +65,6 @@ class BaseModel:
         check_unique((*self.states, *self.inputs), "name", ModelError)
         check_unique(self.memory, "memory", ModelError)
         self._set("S", checked_structure(self.S, len(self.states)))
-        for slot in BY_EQUATION:
-            self._set(slot, self._in_order(getattr(self, slot), slot))
         self._read_texts()
         for name in self.memory:
             self.index(name, "memory")
@@ -84,17 +82,17 @@ class BaseModel:
     def __getstate__(self) -> dict[str, Any]:  # without what was built
         return {part.name: getattr(self, part.name) for part in fields(self)}
 
-    def _in_order(self, terms: Mapping[str, Any], slot: str) -> dict[str, Any]:
-        """What is given per equation, in the order of the states."""
-        for name in terms:
-            self.index(name, f"equation of {slot}")
-        return {name: terms[name] for name in self.states if name in terms}
-
     def _read_texts(self) -> None:
-        """Turn texts into formulas; names that nothing defines become parameters."""
+        """Turn texts into formulas; names that nothing defines become parameters.
+
+        Equations are put in the order of the states.
+        """
         given: dict[str, dict[str, Any]] = {"R": {}, "H": {"": self.H}}  # R first:
         for slot in BY_EQUATION:  # what is a loss is not negative elsewhere either
-            given[slot] = dict(getattr(self, slot))
+            terms = getattr(self, slot)
+            for name in terms:
+                self.index(name, f"equation of {slot}")
+            given[slot] = {name: terms[name] for name in self.states if name in terms}
         known: dict[str, Parameter] = {}
         for terms in chain.from_iterable(map(dict.values, given.values())):
             for term in terms if isinstance(terms, Dictionary) else ():
@@ -102,8 +100,7 @@ class BaseModel:
         for slot, equations in given.items():
             for equation, terms in equations.items():
                 if isinstance(terms, str):
-                    terms = self.variables.formula(terms, slot, known)
-                equations[equation] = terms
+                    equations[equation] = self.variables.formula(terms, slot, known)
         self._set("H", given.pop("H")[""])
         for slot, equations in given.items():
             self._set(slot, MappingProxyType(equations))
@@ -256,7 +253,6 @@ class BaseModel:
                     f"parameter {name!r} is not in the model."
                     f"{did_you_mean(name, self.entries)}"
                 )
-
         if all(self.entries[name].parameter.value == v for name, v in values.items()):
             return self
         return self.with_parameters(

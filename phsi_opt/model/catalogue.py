@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import chain, combinations, permutations, product
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -112,13 +113,12 @@ def every_name(model: BaseModel, units: Mapping[str, str] | None = None) -> Effe
     """
     found = catalogue(model, units)
     known = set(map(str, found))
-    untold = replace(model, kind={})
-    others = (untold, *(replace(model, kind=kind) for kind in KINDS))
-    for further in (*(catalogue(other, units) for other in others), catalogue(model)):
-        for effect in further:
-            if str(effect) not in known:
-                known.add(str(effect))
-                found.append(effect)
+    kinds: tuple[Any, ...] = ({}, *KINDS)
+    others = [catalogue(replace(model, kind=kind), units) for kind in kinds]
+    for effect in chain(*others, catalogue(model)):
+        if str(effect) not in known:
+            known.add(str(effect))
+            found.append(effect)
     return found
 
 

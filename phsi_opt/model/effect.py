@@ -70,10 +70,7 @@ class Effect:
     @property
     def names(self) -> set[str]:
         """All names in its terms and in the rates of its memory."""
-        names: set[str] = set()
-        for term in self.terms:
-            names |= names_of(term.body)
-        return names
+        return set().union(*(names_of(term.body) for term in self.terms))
 
     @property
     def needs_clock(self) -> bool:

@@ -17,6 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from phsi_opt.arguments import is_of
 from phsi_opt.errors import ModelError, did_you_mean, shown
 from phsi_opt.presentation.numbers import shortened
 
@@ -133,20 +134,20 @@ def parse(text: str) -> ast.expr:
 def _check(node: ast.AST, text: str, depth: int = 0) -> None:
     if depth > MAX_DEPTH:
         raise RecursionError
+    below: list[ast.expr] = []
     match node:
         case ast.BinOp(left=left, right=right):
-            below: list[ast.expr] = [left, right]
+            below = [left, right]
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
             below = [operand]
-        case ast.Call(args=arguments):
+        case ast.Call(args=below):
             _check_call(node, text)
-            below = arguments
-        case ast.Constant(value=value):
-            below = []
-            if not _is_finite(value):
+        case ast.Constant():
+            value: Any = node.value  # no bool, no whole number beyond the floats
+            if not (is_of(value, float) and math.isfinite(value)):
                 raise ModelError(f"{_place(node, text)} is not a finite number.")
         case ast.Name():
-            below = []
+            pass
         case _:
             hint = " Decimals have a point: 0.5." if isinstance(node, ast.Tuple) else ""
             raise ModelError(
@@ -158,15 +159,6 @@ def _check(node: ast.AST, text: str, depth: int = 0) -> None:
         _check(part, text, depth + 1)
     if isinstance(node, ast.BinOp):
         _check_operator(node, text)
-
-
-def _is_finite(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # a whole number beyond the floats
-        return False
 
 
 def _check_operator(node: ast.BinOp, text: str) -> None:
@@ -251,15 +243,12 @@ def needs_brackets(text: str) -> bool:
 
 
 def _names_below(tree: ast.AST) -> set[str]:
-    called = set()
-    named = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call):
-            called.add(id(node.func))
-        elif isinstance(node, ast.Name):
-            named.append(node)
-    found = {node.id for node in named if id(node) not in called}
-    return found - set(CONSTANTS)
+    match tree:
+        case ast.Name(id=name):
+            return {name} - CONSTANTS.keys()
+        case ast.Call(args=parts):
+            return set().union(*map(_names_below, parts))
+    return set().union(*map(_names_below, ast.iter_child_nodes(tree)))
 
 
 @lru_cache(maxsize=1024)
@@ -341,11 +330,9 @@ def _value(
         case ast.Name(id=name) if name in backend.constants:
             return backend.constants[name]
         case ast.Name(id=name):
-            hint = did_you_mean(name, names)
-            if not hint:
-                hint = f" Give it a value: formula({text!r}, {name}=Parameter(...))."
+            give = f" Give it a value: formula({text!r}, {name}=Parameter(...))."
             raise ModelError(
-                f"name {name!r} in formula {_shortened(text)!r} is unknown; "
-                f"known are {', '.join(sorted(names))}.{hint}"
+                f"name {name!r} in formula {_shortened(text)!r} is unknown; known are "
+                f"{', '.join(sorted(names))}.{did_you_mean(name, names) or give}"
             )
     raise AssertionError(f"{text!r} was not checked")

@@ -178,12 +178,8 @@ class Variables:
                 f"{body!r} in H uses {name!r}, but an energy depends on the states "
                 "alone; put the term into F."
             )
-        hint = did_you_mean(name, allowed)
-        if not hint:
-            hint = (
-                f" If it is a parameter, give it: formula(..., {name}=Parameter(1.0))."
-            )
+        give = f" If it is a parameter, give it: formula(..., {name}=Parameter(1.0))."
         raise ModelError(
-            f"name {name!r} in {body!r} ({placed.slot}) is unknown; "
-            f"known are {', '.join(sorted(allowed))}.{hint}"
+            f"name {name!r} in {body!r} ({placed.slot}) is unknown; known are "
+            f"{', '.join(sorted(allowed))}.{did_you_mean(name, allowed) or give}"
         )

@@ -14,7 +14,7 @@ import casadi as ca
 
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.expressions import CASADI, Backend, evaluate, names_of
-from phsi_opt.model.slots import PlacedTerm, place_of
+from phsi_opt.model.slots import PlacedTerm
 from phsi_opt.model.terms import Term
 from phsi_opt.presentation.summary import Part, Summary, printed_table
 
@@ -218,16 +218,12 @@ def dictionary_rows(
     model: BaseModel, written: Callable[[Term, str, int], str]
 ) -> list[str]:
     """Every dictionary of the model that has terms: F_p = c1*q + c2*q**3."""
-    rows = []
-    places = dict.fromkeys((slot, equation) for slot, equation, _ in model.placed())
-    for slot, equation in places:
-        place = place_of(slot, equation)
-        terms = [
-            written(term, place, number)
-            for number, term in enumerate(model.terms_at(slot, equation), start=1)
-        ]
-        rows.append(f"{place} = {' + '.join(terms).replace('+ -', '- ')}")
-    return rows
+    sums: dict[str, list[str]] = {}
+    for placed in model.placed():
+        terms = sums.setdefault(placed.place, [])
+        terms.append(written(placed.term, placed.place, len(terms) + 1))
+    texts = {place: " + ".join(terms) for place, terms in sums.items()}
+    return [f"{place} = {text.replace('+ -', '- ')}" for place, text in texts.items()]
 
 
 def _term(term: Term, place: str, number: int) -> str:

@@ -65,11 +65,9 @@ def typeset_equations(
         known[name] = named(_name(name)) if is_named else sp.Float(f"{value:.3g}")
     for name in model.states:
         known[_dotted(name)] = named(_velocity(name))
-    symbols = {}
-    for name in (*model.states, *model.inputs):
-        symbols[name] = named(_name(name))
-    x = list(map(symbols.__getitem__, model.states))
-    u = list(map(symbols.__getitem__, model.inputs))
+    x = [named(_name(name)) for name in model.states]
+    u = [named(_name(name)) for name in model.inputs]
+    symbols = dict(zip((*model.states, *model.inputs), (*x, *u), strict=True))
     for name, delay in model.delays:
         late = named(_late(name, values[delay], unit_of_time))
         known[f"delayed({name}, {delay})"] = late
