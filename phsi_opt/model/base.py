@@ -183,8 +183,8 @@ class BaseModel:
     @cached_property
     def free(self) -> tuple[str, ...]:
         """Names of the parameters that are not fixed, in the order of theta."""
-        entries = self.entries
-        return tuple(name for name in entries if not entries[name].parameter.fixed)
+        entries = self.entries.values()
+        return tuple(one.name for one in entries if not one.parameter.fixed)
 
     @property
     def values(self) -> dict[str, float]:
@@ -194,8 +194,8 @@ class BaseModel:
     @property
     def theta(self) -> np.ndarray:
         """Present values of the free parameters, (n_free,), in the order of `free`."""
-        entries = self.entries
-        return np.array([entries[name].parameter.start for name in self.free])
+        values = self.values
+        return np.array([values[name] for name in self.free])
 
     # ---- changes: each makes a new model ---------------------------------------------
 
@@ -247,12 +247,9 @@ class BaseModel:
         Raises:
             ModelError: there is no such parameter.
         """
-        for name in values:
-            if name not in self.entries:
-                raise ModelError(
-                    f"parameter {name!r} is not in the model."
-                    f"{did_you_mean(name, self.entries)}"
-                )
+        for name in sorted(values.keys() - self.entries.keys()):
+            hint = did_you_mean(name, self.entries)
+            raise ModelError(f"parameter {name!r} is not in the model.{hint}")
         if all(self.entries[name].parameter.value == v for name, v in values.items()):
             return self
         return self.with_parameters(
@@ -280,11 +277,10 @@ class BaseModel:
         An upper bound that is lower already stays.
         """
 
-        def bounded(name: str, parameter: Parameter) -> Parameter:
-            upper = min(bounds[name], parameter.upper)
-            value = parameter.value
-            within = None if value is None else min(value, upper)
-            return replace(parameter, upper=upper, value=within)
+        def bounded(name: str, one: Parameter) -> Parameter:
+            upper = min(bounds[name], one.upper)
+            within = None if one.value is None else min(one.value, upper)
+            return replace(one, upper=upper, value=within)
 
         return self.with_parameters(bounded, bounds)
 

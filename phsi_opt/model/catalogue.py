@@ -352,7 +352,17 @@ def is_redundant(model: BaseModel, effect: Effect) -> bool:
     """Whether the model can do already what the effect does."""
     if stands_in(model, effect):
         return True
-    return bool(model.free) and not is_scanned(effect) and _is_spanned(model, effect)
+    if not model.free or is_scanned(effect):
+        return False
+    # Whether its slopes are a sum of the slopes of the model's parameters.
+    larger = model.add(effect)
+    is_new = np.array([name not in model.entries for name in larger.free])
+    slopes = _slopes_in_random_states(model, larger)
+    own = slopes[:, ~is_new]
+    added = slopes[:, is_new]
+    weights = np.linalg.lstsq(own, added, rcond=None)[0]
+    left = added - own @ weights
+    return bool(np.linalg.norm(left) < NOTHING_LEFT * np.linalg.norm(added))
 
 
 def stands_in(model: BaseModel, effect: Effect) -> bool:
@@ -362,18 +372,6 @@ def stands_in(model: BaseModel, effect: Effect) -> bool:
         if term.body in bodies or term.name in model.entries:
             return True
     return not set(effect.memory).isdisjoint(model.states)
-
-
-def _is_spanned(model: BaseModel, effect: Effect) -> bool:
-    """Whether the effect's slopes are a sum of the slopes of the model's parameters."""
-    larger = model.add(effect)
-    is_new = np.array([name not in model.entries for name in larger.free])
-    slopes = _slopes_in_random_states(model, larger)
-    own = slopes[:, ~is_new]
-    added = slopes[:, is_new]
-    weights = np.linalg.lstsq(own, added, rcond=None)[0]
-    left = added - own @ weights
-    return bool(np.linalg.norm(left) < NOTHING_LEFT * np.linalg.norm(added))
 
 
 def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
@@ -428,12 +426,6 @@ class EffectChoice:
         if self.effects is not None:
             object.__setattr__(self, "effects", tuple(self.effects))
 
-    def narrowed(self, effects: Given | None, without: Given) -> "EffectChoice":
-        """Of other effects, where there are any, and without more of them."""
-        chosen = self.effects if effects is None else effects
-        added = EffectChoice(None, without).without
-        return EffectChoice(chosen, (*self.without, *added))
-
     def checked(
         self, model: BaseModel, units: Mapping[str, str] | None = None
     ) -> "EffectChoice":
@@ -448,24 +440,21 @@ class EffectChoice:
                 to leave out that is no candidate, or one that the model has.
         """
         offered: list[Effect] = catalogue(model, units)
-        considered = offered
-        effects: list[Effect | str] | None = None
-        if self.effects is not None:
-            effects = []
-            for one in self.effects:
-                effects += _as_offered(one, offered, model, units, "effects")
-            considered = _all_meant(effects, offered)
-            for effect in considered:
-                if stands_in(model, effect):
-                    raise ModelError(
-                        f"effect {str(effect)!r} in effects is in the model already; "
-                        "remove it from the list."
-                    )
+        effects: list[Effect | str] = []
+        for one in self.effects or ():
+            effects += _as_offered(one, offered, model, units, "effects")
+        considered = _all_meant(effects, offered)
+        for effect in considered:
+            if stands_in(model, effect):
+                raise ModelError(
+                    f"effect {str(effect)!r} in effects is in the model already; "
+                    "remove it from the list."
+                )
         without: list[Effect | str] = []
         for one in self.without:
             every = [*considered, *offered]
             without += _as_offered(one, every, model, units, "without")
-        return EffectChoice(effects, without)
+        return EffectChoice(None if self.effects is None else effects, without)
 
     def candidates(
         self, model: BaseModel, units: Mapping[str, str] | None = None

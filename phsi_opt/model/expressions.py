@@ -117,18 +117,14 @@ def parse(text: str) -> ast.expr:
     except SyntaxError as error:
         told = f"{error.msg} at column {error.offset}."
         hints = [hint for sign, hint in HINTS.items() if sign in f"{text} {told}"]
-        raise ModelError(
-            " ".join([f"formula {_shortened(text)!r} cannot be read: {told}", *hints])
-        ) from None
+        said = " ".join([f"cannot be read: {told}", *hints])
     except UnicodeError:
-        raise ModelError(
-            f"formula {_shortened(text)!r} contains a character that is not valid text."
-        ) from None
+        said = "contains a character that is not valid text."
     except (RecursionError, MemoryError):
-        raise ModelError(
-            f"formula {_shortened(text)!r} is nested too deeply; split it into terms."
-        ) from None
-    return tree
+        said = "is nested too deeply; split it into terms."
+    else:
+        return tree
+    raise ModelError(f"formula {_shortened(text)!r} {said}")
 
 
 def _check(node: ast.AST, text: str, depth: int = 0) -> None:

@@ -20,12 +20,7 @@ from phsi_opt.model.base import BaseModel, checked_structure
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import evaluate
-from phsi_opt.model.symbolic import (
-    Expressions,
-    function_of,
-    model_summary,
-    with_slopes,
-)
+from phsi_opt.model.symbolic import Expressions, function_of, model_summary, with_slopes
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.presentation.summary import Summarised, Summary
 
@@ -172,23 +167,17 @@ class Model(BaseModel, Summarised):
 
     @cached_property
     def _built(self) -> dict[Hashable, object]:
-        return built_of(self._formulas)
-
-    @property
-    def _formulas(self) -> Hashable:
-        """All that what is built depends on: the formulas and the numbers in them."""
+        """By the formulas and the numbers in them, on which alone it depends."""
         # Values of unknown parameters are arguments, and bounds, units and guesses are
         # for others.
-        terms = []
+        terms: list[Hashable] = []
         for *at, term in self.placed():
             terms.append((*at, term.body, term.name, term.is_formula, *term.inner))
-        numbers = [
-            (name, value.hex())
-            for name, value in self.values.items()
-            if self.entries[name].parameter.fixed
-        ]
+        for name, entry in self.entries.items():
+            if entry.parameter.fixed:
+                terms.append((name, entry.parameter.start.hex()))
         structure = (type(self), self.states, self.inputs, self.memory, self.S)
-        return (*structure, tuple(terms), self.free, tuple(numbers))
+        return built_of((*structure, self.free, *terms))
 
 
 @dataclass(frozen=True, kw_only=True, init=False, repr=False)

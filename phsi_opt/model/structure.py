@@ -153,12 +153,15 @@ def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
     """
     unpaired = unpaired_states(model)
     is_circuit = ELECTRICAL in map(kind_of_unit, units.values())
+    of_unpaired = [units.get(name, "") for name in unpaired]
+    others = {kind_of_unit(one) for one in of_unpaired if not are_alike(one, "m")}
+    of_length = MECHANICAL if MECHANICAL in others else ""
     found = {}
     for name in model.states:
         unit = units.get(name, "")
         kind = kind_of_unit(unit)
         if name in unpaired and are_alike(unit, "m"):
-            kind = _kind_of_length(unpaired, units)
+            kind = HYDRAULIC if others <= {HYDRAULIC} else of_length
         elif name in unpaired and are_alike(unit, "V") and is_circuit:
             kind = ELECTRICAL
         if kind:
@@ -166,18 +169,6 @@ def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
     if found.keys() <= model.kind.keys():
         return model
     return replace(model, kind={**found, **model.kind})
-
-
-def _kind_of_length(unpaired: tuple[str, ...], units: Mapping[str, str]) -> str:
-    """Whether lengths are levels or positions, by the other states' units."""
-    others = set()
-    for name in unpaired:
-        unit = units.get(name, "")
-        if not are_alike(unit, "m"):
-            others.add(kind_of_unit(unit))
-    if others <= {HYDRAULIC}:
-        return HYDRAULIC
-    return MECHANICAL if MECHANICAL in others else ""
 
 
 def forced_rows(model: BaseModel) -> tuple[int, ...]:

@@ -359,7 +359,8 @@ class Study(Summarised):
         require_count("max_steps", max_steps)
         require_choice("reach", reach, (DECISIVE, STRONG))
         further = EffectChoice(effects, without).checked(self.base, self.train.units)
-        choice = self._choice.narrowed(further.effects, further.without)
+        chosen = self._choice.effects if further.effects is None else further.effects
+        choice = EffectChoice(chosen, (*self._choice.without, *further.without))
         for _ in range(max_steps):
             diagnosis = self._diagnosed(choice, executor)
             said = f"{diagnosis.verdict}: {diagnosis.reason}"
