@@ -140,10 +140,7 @@ def require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
 
 
 def require_known(
-    name: Any,
-    known: Iterable[Any],
-    said: str,
-    error: type[PhsiOptError] = ModelError,
+    name: Any, known: Iterable[Any], said: str, error: type[PhsiOptError] = ModelError
 ) -> None:
     """Let a name pass that there is, or say which there are, and the closest of them.
 

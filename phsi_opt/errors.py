@@ -86,10 +86,7 @@ class StudyFileError(DataError):
     """
 
     def __init__(
-        self,
-        path: object,
-        complaints: Sequence[Complaint],
-        measurements: Any = None,
+        self, path: object, complaints: Sequence[Complaint], measurements: Any = None
     ) -> None:
         self.path = str(path)
         self.measurements = measurements

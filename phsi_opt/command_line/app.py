@@ -47,8 +47,7 @@ StudyPath = Annotated[Path, typer.Argument(help="The study file.", metavar="STUD
 OwnStudy = Annotated[
     Path | None,
     typer.Argument(
-        help=f"The study file; default: {STUDY_NAME}, if there is one.",
-        metavar="STUDY",
+        help=f"The study file; default: {STUDY_NAME}, if there is one.", metavar="STUDY"
     ),
 ]
 AsJson = Annotated[
@@ -212,8 +211,7 @@ def study_(
     report: Annotated[
         Path | None,
         typer.Option(
-            help=f"Write a report; the default name is {REPORT_NAME}.",
-            metavar="[FILE]",
+            help=f"Write a report; the default name is {REPORT_NAME}.", metavar="[FILE]"
         ),
     ] = None,
     save: Save = None,
@@ -222,8 +220,7 @@ def study_(
         typer.Option(min=1, help="Largest number of effects that --auto adds."),
     ] = None,
     reach: Annotated[
-        Reach,
-        typer.Option(help="Least evidence of effects that --auto adds."),
+        Reach, typer.Option(help="Least evidence of effects that --auto adds.")
     ] = Reach.DECISIVE,
     write: Annotated[
         bool,

@@ -12,10 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from phsi_opt.comparison.compare import (
-    explained_share,
-    is_small_as_noise,
-)
+from phsi_opt.comparison.compare import explained_share, is_small_as_noise
 from phsi_opt.criteria import EXPLAINED_IF_NAMED, MOST_OF_IT, MOST_REFITTED
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.refit import DiagnosedModel

@@ -94,12 +94,7 @@ def diagnose(
         judged = compare(fit, held_out)
     candidates = choice.candidates(fit.model, data.units)
     return diagnose_comparison(
-        trained,
-        judged,
-        effects=candidates,
-        loss=loss,
-        progress=say,
-        executor=executor,
+        trained, judged, effects=candidates, loss=loss, progress=say, executor=executor
     )
 
 

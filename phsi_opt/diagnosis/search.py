@@ -16,12 +16,7 @@ import numpy as np
 
 from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.diagnosis.candidate import at_limit
-from phsi_opt.diagnosis.ranking import (
-    Ranking,
-    force_left,
-    screened_beside,
-    weighed_of,
-)
+from phsi_opt.diagnosis.ranking import Ranking, force_left, screened_beside, weighed_of
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
@@ -174,10 +169,7 @@ class Search:
         return None
 
     def _take(
-        self,
-        effects: tuple[Effect, ...],
-        prices: Mapping[str, float],
-        weighed: Weighed,
+        self, effects: tuple[Effect, ...], prices: Mapping[str, float], weighed: Weighed
     ) -> Combination | None:
         """Note a model; None where the record does not determine it."""
         record = self.ranking.record

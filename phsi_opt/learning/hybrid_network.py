@@ -211,10 +211,7 @@ def train(
 
 
 def _best(
-    net: Any,
-    error: Callable[[Any], Any],
-    folds: np.ndarray,
-    settings: NeuralForce,
+    net: Any, error: Callable[[Any], Any], folds: np.ndarray, settings: NeuralForce
 ) -> Layers:
     """The layers of the epoch with the least error on the fold 0, which is left out."""
     import torch
