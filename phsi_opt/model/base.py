@@ -200,14 +200,7 @@ class BaseModel:
     # ---- changes: each makes a new model ---------------------------------------------
 
     def add(self, effect: Effect) -> Self:
-        """A new model with the effect's terms in its slot.
-
-        Its memory becomes further states at the end.
-
-        Raises:
-            ModelError: the effect's equation is unknown, or its slot is not in the
-                model.
-        """
+        """A new model with the effect's terms in its slot; see `Model.add`."""
         slot = effect.slot
         equation = effect.equation
         if slot == "H" and not self.has_energy:
@@ -242,11 +235,7 @@ class BaseModel:
 
     @typed
     def with_values(self, values: Mapping[str, float]) -> Self:
-        """A new model with the named parameters set.
-
-        Raises:
-            ModelError: there is no such parameter.
-        """
+        """A new model with the named parameters set; see `Model.with_values`."""
         for name in sorted(values.keys() - self.entries.keys()):
             hint = did_you_mean(name, self.entries)
             raise ModelError(f"parameter {name!r} is not in the model.{hint}")

@@ -66,7 +66,6 @@ OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
-# A formula is written by a person; a longer one is a mistake or an attack.
 # What to do about a formula that cannot be read, by what it or Python's message holds.
 HINTS = {
     "^": "Write a power as **.",
@@ -74,6 +73,7 @@ HINTS = {
     "decimal literal": "Write a product with *, as in 2*q.",
     "never closed": "Close the bracket.",
 }
+# A formula is written by a person; a longer one is a mistake or an attack.
 MAX_CHARACTERS = 10_000
 # Beyond any law of physics, and short of what fills the memory as a whole number.
 MAX_EXPONENT = 64

@@ -21,7 +21,7 @@ import numpy as np
 
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.expressions import CONSTANTS, FUNCTIONS, Backend, evaluate
-from phsi_opt.model.parameters import Parameter, Scan, Tried
+from phsi_opt.model.parameters import Scan, Tried
 from phsi_opt.model.slots import PlacedTerm
 from phsi_opt.presentation.units import (
     RADIAN,
@@ -50,14 +50,15 @@ Form = Mapping[str, float]
 
 def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
     """The unit of every parameter, "" where it is not known."""
-    found = _solved(model, units)
+    stated = stated_units(model, units)
+    found = _solved(model, stated)
     time = units.get("t", "")
     told = {}
     for name, entry in model.entries.items():
         parameter = entry.parameter
         guess = parameter.guess
         told[name] = parameter.unit
-        if is_stated(parameter):
+        if name in stated:
             continue
         if isinstance(guess, Tried) and guess.of in ("t", "dt"):
             told[name] = time or parameter.unit
@@ -111,7 +112,7 @@ def named_units(
 
 def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
     """The unit of every state: as given, or as the equations ask for; "" if unknown."""
-    found = _solved(model, units)
+    found = _solved(model, stated_units(model, units))
     told = {}
     for state in model.states:
         told[state] = units.get(state, "")
@@ -124,19 +125,14 @@ def stated_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
     """The units given, and those of the parameters of which a person gave the unit."""
     stated = dict(units)
     for name, entry in model.entries.items():
-        if is_stated(entry.parameter):
-            stated[name] = entry.parameter.unit
+        parameter = entry.parameter
+        if parameter.unit and parameter.guess is None:  # else it is of the catalogue
+            stated[name] = parameter.unit
     return stated
 
 
-def is_stated(parameter: Parameter) -> bool:
-    """Whether a person gave the unit; the catalogue's times are in seconds."""
-    return bool(parameter.unit) and parameter.guess is None
-
-
-def _solved(model: BaseModel, units: Mapping[str, str]) -> dict[str, Powers]:
+def _solved(model: BaseModel, stated: Mapping[str, str]) -> dict[str, Powers]:
     """The powers of the units by parameter and state, as far as they are determined."""
-    stated = stated_units(model, units)
     whole = Equations(model)
     for numbers_are_pure in (True, False):
         for split in (powers_as_written, powers_in_base_units, _unambiguous):
@@ -155,12 +151,8 @@ def _readable(
     units: Mapping[str, str], split: Callable[[str], Powers | None]
 ) -> dict[str, Powers]:
     """The powers of the units that can be read."""
-    found = {}
-    for name, unit in units.items():
-        powers = split(unit)
-        if powers is not None:
-            found[name] = powers
-    return found
+    found = {name: split(unit) for name, unit in units.items()}
+    return {name: powers for name, powers in found.items() if powers is not None}
 
 
 def _unambiguous(unit: str) -> Powers | None:

@@ -177,12 +177,10 @@ def forced_rows(model: BaseModel) -> tuple[int, ...]:
     These are all but those of an effect's memory and of a body's positions, for which
     dq/dt = dH/dp is kinematics. A capacitor may leak, and so may a chamber.
     """
-    kinematic = set(model.memory)
-    for position in position_of_momentum(model).values():
-        if kind_of(model, position) == MECHANICAL:
-            kinematic.add(position)
-    rows = [row for row, name in enumerate(model.states) if name not in kinematic]
-    return tuple(rows)
+    positions = position_of_momentum(model).values()
+    kinematic = {name for name in positions if kind_of(model, name) == MECHANICAL}
+    kinematic |= set(model.memory)
+    return tuple(k for k, name in enumerate(model.states) if name not in kinematic)
 
 
 def exchange_partners(model: BaseModel, equation: str) -> tuple[str, ...]:
