@@ -263,7 +263,7 @@ class Weighted(Protocol):
 
     @property
     def states(self) -> np.ndarray | None:
-        """Along the training record, (n_nodes, n_states); None: those of the base."""
+        """States along the record, (n_nodes, n_states); None if they are the base's."""
 
 
 def refit(base: DiagnosedModel, candidate: Weighted) -> DiagnosedModel | None:

@@ -28,7 +28,7 @@ from phsi_opt.screening.weighing import Weighed
 from phsi_opt.sweeps.sweep import ahead
 
 BEAM_WIDTH = 3  # models that go on from a round
-MOST_TRIED = 4  # effects by which each of them is enlarged
+MOST_FURTHER = 4  # effects by which each of them is enlarged
 MOST_EFFECTS = 4  # of one model
 
 
@@ -130,7 +130,7 @@ class Search:
         self.base.say(f"screening further effects beside {one.name}")
         others = [effect for effect in self.effects if str(effect) not in one.key]
         screened = screened_beside(LinearizedRecord.beside_force(record), others)
-        gaining = [further for further in screened if further.gain > 0][:MOST_TRIED]
+        gaining = [further for further in screened if further.gain > 0][:MOST_FURTHER]
         new = [one.key | {str(further.effect)} for further in gaining]
         cases = {
             str(further.effect): further
