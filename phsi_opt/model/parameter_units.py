@@ -151,8 +151,12 @@ def _readable(
     units: Mapping[str, str], split: Callable[[str], Powers | None]
 ) -> dict[str, Powers]:
     """The powers of the units that can be read."""
-    found = {name: split(unit) for name, unit in units.items()}
-    return {name: powers for name, powers in found.items() if powers is not None}
+    found = {}
+    for name, unit in units.items():
+        powers = split(unit)
+        if powers is not None:
+            found[name] = powers
+    return found
 
 
 def _unambiguous(unit: str) -> Powers | None:

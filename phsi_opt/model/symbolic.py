@@ -222,8 +222,10 @@ def dictionary_rows(
     for placed in model.placed():
         terms = sums.setdefault(placed.place, [])
         terms.append(written(placed.term, placed.place, len(terms) + 1))
-    texts = {place: " + ".join(terms) for place, terms in sums.items()}
-    return [f"{place} = {text.replace('+ -', '- ')}" for place, text in texts.items()]
+    rows = []
+    for place, terms in sums.items():
+        rows.append(f"{place} = {' + '.join(terms).replace('+ -', '- ')}")
+    return rows
 
 
 def _term(term: Term, place: str, number: int) -> str:

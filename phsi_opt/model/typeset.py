@@ -65,8 +65,8 @@ def typeset_equations(
         known[name] = named(_name(name)) if is_named else sp.Float(f"{value:.3g}")
     for name in model.states:
         known[_dotted(name)] = named(_velocity(name))
-    x = [named(_name(name)) for name in model.states]
-    u = [named(_name(name)) for name in model.inputs]
+    x = list(map(named, map(_name, model.states)))
+    u = list(map(named, map(_name, model.inputs)))
     symbols = dict(zip((*model.states, *model.inputs), (*x, *u), strict=True))
     for name, delay in model.delays:
         late = named(_late(name, values[delay], unit_of_time))

@@ -9,6 +9,7 @@ mass of 1 kg), so that only what contradicts itself whatever is hidden is a faul
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import filterfalse
 from math import log
 from operator import attrgetter
 
@@ -82,7 +83,7 @@ class UnitCheck:
 
     def _others(self, names: Collection[str]) -> list[str]:
         """All quantities with a unit but these."""
-        return [name for name in self._stated if name not in names]
+        return list(filterfalse(names.__contains__, self._stated))
 
     def _in_other_units(self, names: Iterable[str]) -> list[str]:
         return [name for name in names if self._measure(name).size != 1.0]
@@ -96,7 +97,8 @@ class UnitCheck:
         self, powers: Callable[[Measure], Powers], without: Collection[str] = ()
     ) -> dict[str, Powers] | None:
         """Powers of what has no unit, by its name; None for a contradiction."""
-        known = {name: powers(self._measure(name)) for name in self._others(without)}
+        names = self._others(without)
+        known = dict(zip(names, map(powers, map(self._measure, names)), strict=True))
         plain, with_constants = self._equations
         found = plain.solved(known, numbers_are_pure=False)
         return with_constants.solved(known, False) if found is None else found
@@ -209,8 +211,9 @@ class UnitCheck:
             for number in (one.upper, one.lower, one.value):
                 if number and np.isfinite(number) and not one.unit:
                     numbers[name] = number
-        of_formulas = self._equations[0].numbers
-        return numbers | {name: number for name, (number, _) in of_formulas.items()}
+        for name, (number, _) in self._equations[0].numbers.items():
+            numbers[name] = number
+        return numbers
 
     def _listed(self, names: Iterable[str]) -> str:
         """Such as "q in mm, t in ms"."""
