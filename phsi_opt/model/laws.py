@@ -107,32 +107,17 @@ INNER_PARAMETERS = {
 # ---- memory: further states, each with its rate --------------------------------------
 
 
-def _delayed(signal: str, tau: str, a: str) -> tuple[str, dict[str, str]]:
-    """The change s(t - tau) - s(t) of a signal s, and the states that it remembers.
-
-    Pade's approximation of order three has three states a, b = a', c = a''::
-
-        c' = 120/tau^3 (s - a) - 60/tau^2 b - 12/tau c
-        s(t - tau) = s - 2 (s - a) + tau^2/5 c
-
-    The phase is right to 1 % up to tau times the frequency = 4.
-    """
-    b, c = f"{a}_rate", f"{a}_bend"
-    jerk = f"120/{tau}**3*({signal} - {a}) - 60/{tau}**2*{b} - 12/{tau}*{c}"
-    return f"2*({a} - {signal}) + {tau}**2/5*{c}", {a: b, b: c, c: jerk}
-
-
-LATE_READING, READING_MEMORY = _delayed("{x}", "sensor_delay_{x}", "{x}_delayed")
-
-
-def delayed_signals(model: BaseModel) -> dict[str, tuple[str, str]]:
-    """State and parameter of each delay of a sensor, by the first of its memory."""
-    found = {}
-    for state in model.memory:
-        signal = state.removesuffix("_delayed")
-        if f"{state}_bend" in model.memory:
-            found[state] = (signal, f"sensor_delay_{signal}")
-    return found
+# The delay tau of a sensor is Pade's approximation of order three, with three states a,
+# b = a', c = a'', whose phase is right to 1 % up to tau times the frequency = 4:
+#     c' = 120/tau^3 (x - a) - 60/tau^2 b - 12/tau c
+#     x(t - tau) = x - 2 (x - a) + tau^2/5 c
+LATE_READING = "2*({x}_delayed - {x}) + sensor_delay_{x}**2/5*{x}_delayed_bend"
+READING_MEMORY = {
+    "{x}_delayed": "{x}_delayed_rate",
+    "{x}_delayed_rate": "{x}_delayed_bend",
+    "{x}_delayed_bend": "120/sensor_delay_{x}**3*({x} - {x}_delayed)"
+    " - 60/sensor_delay_{x}**2*{x}_delayed_rate - 12/sensor_delay_{x}*{x}_delayed_bend",
+}
 
 
 def _bouc_wen(z: str, shape: str = "") -> str:

@@ -11,7 +11,6 @@ from html import escape
 from typing import Any
 
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.laws import delayed_signals
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.model.symbolic import Expressions
 from phsi_opt.presentation.numbers import decimal
@@ -72,8 +71,11 @@ def typeset_equations(
         late = named(_late(name, values[delay], unit_of_time))
         known[f"delayed({name}, {delay})"] = late
     instead: dict[Any, Any] = {}
-    for state, (signal, delay) in delayed_signals(model).items():
-        late = named(_late(signal, values[delay], unit_of_time))
+    for state in model.memory:
+        if f"{state}_bend" not in model.memory:
+            continue  # it is no delay of a sensor
+        signal = state.removesuffix("_delayed")
+        late = named(_late(signal, values[f"sensor_delay_{signal}"], unit_of_time))
         now = symbols[signal]
         instead[symbols[state]] = (now + late) / 2
         for one in ("rate", "bend"):
