@@ -12,7 +12,7 @@ from phsi_opt.diagnosis.refit import BRIEF
 from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.maximum_likelihood import crude_start
-from phsi_opt.model.model import built_of
+from phsi_opt.model.base import built_of
 from phsi_opt.model_error import joint_estimate
 from phsi_opt.optimization import banded
 from phsi_opt.optimization.ipopt import DIRECT_STEPS

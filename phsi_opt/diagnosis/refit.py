@@ -131,12 +131,10 @@ class DiagnosedModel:
 
     @property
     def fit(self) -> Fit:
-        """The fit."""
         return self.trained.fit
 
     @property
     def record(self) -> Record:
-        """The fit along the training record."""
         return self.trained.record
 
     @property

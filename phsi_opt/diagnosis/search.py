@@ -47,7 +47,6 @@ class Combination:
 
     @property
     def name(self) -> str:
-        """Its effects in words."""
         return " and ".join(map(str, self.effects))
 
     @property

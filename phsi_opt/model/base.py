@@ -6,12 +6,12 @@ could be added to it, and ``model`` has the classes that a user writes. Every ch
 makes a new record.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain
 from types import MappingProxyType
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
 
@@ -31,6 +31,20 @@ from phsi_opt.model.slots import (
     parameter_table,
 )
 from phsi_opt.model.terms import Dictionary, Term, check_number_of_terms
+
+T = TypeVar("T")
+
+
+@lru_cache(maxsize=64)  # those last asked for; a model keeps its own while it lives
+def built_of(formulas: Hashable) -> dict[Hashable, object]:
+    """What was built of the same formulas, by name; empty at first.
+
+    Models are records that come and go: a fit makes dozens with other values, a study
+    hundreds. Building CasADi functions takes longer than evaluating them, and what a
+    function computes follows from its formulas alone, so it does not matter who built
+    it. Nothing here is written to a file.
+    """
+    return {}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -197,6 +211,35 @@ class BaseModel:
         values = self.values
         return np.array([values[name] for name in self.free])
 
+    # ---- what is built of it ---------------------------------------------------------
+
+    def built(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What ``make`` builds, once for all models with the same formulas.
+
+        It must not depend on the values of the free parameters.
+
+        Args:
+            key: under which it is kept.
+            make: builds it.
+        """
+        if key not in self._built:
+            self._built[key] = make()
+        return cast("T", self._built[key])
+
+    @cached_property
+    def _built(self) -> dict[Hashable, object]:
+        """By the formulas and the numbers in them, on which alone it depends."""
+        # Values of unknown parameters are arguments, and bounds, units and guesses are
+        # for others.
+        terms: list[Hashable] = []
+        for *at, term in self.placed():
+            terms.append((*at, term.body, term.name, term.is_formula, *term.inner))
+        for name, entry in self.entries.items():
+            if entry.parameter.fixed:
+                terms.append((name, entry.parameter.start.hex()))
+        structure = (type(self), self.states, self.inputs, self.memory, self.S)
+        return built_of((*structure, self.free, *terms))
+
     # ---- changes: each makes a new model ---------------------------------------------
 
     def add(self, effect: Effect) -> Self:
@@ -235,15 +278,23 @@ class BaseModel:
 
     @typed
     def with_values(self, values: Mapping[str, float]) -> Self:
-        """A new model with the named parameters set; see `Model.with_values`."""
+        """A new model with the named parameters set.
+
+        Raises:
+            ModelError: there is no such parameter.
+        """
         for name in sorted(values.keys() - self.entries.keys()):
             hint = did_you_mean(name, self.entries)
             raise ModelError(f"parameter {name!r} is not in the model.{hint}")
         if all(self.entries[name].parameter.value == v for name, v in values.items()):
             return self
-        return self.with_parameters(
+        changed = self.with_parameters(
             lambda name, parameter: with_value(parameter, values[name]), values
         )
+        if not any(self.entries[name].parameter.fixed for name in values):
+            # Parameters that are not known are arguments of what was built.
+            vars(changed)["_built"] = self._built
+        return changed
 
     def with_fixed(self, values: Mapping[str, float]) -> Self:
         """A new model with the named parameters known: fixed at these values.

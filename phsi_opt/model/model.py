@@ -1,15 +1,14 @@
 """The models that a user writes: with an energy, and without.
 
 ``PseudoHamiltonian`` is dx/dt = (S - R(x)) grad H(x) + F(x, t, u), ``FirstOrder`` is
-dx/dt = F(x, t, u). Both are frozen records (``base``) that keep their CasADi functions
-(``symbolic``) and know the effects that could be added to them (``catalogue``). Nothing
-here knows of data, losses or solvers.
+dx/dt = F(x, t, u). Both are frozen records (``base``) with CasADi functions
+(``symbolic``), and know the effects that could be added to them (``catalogue``).
+Nothing here knows of data, losses or solvers.
 """
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any, ClassVar, Self, TypeVar, cast
+from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -24,21 +23,8 @@ from phsi_opt.model.symbolic import Expressions, function_of, model_summary, wit
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.presentation.summary import Summarised, Summary
 
-T = TypeVar("T")
 Terms = Dictionary | str  # a text is a formula, see `Model`
 TermsByState = Mapping[str, Terms]
-
-
-@lru_cache(maxsize=64)  # those last asked for; a model keeps its own while it lives
-def built_of(formulas: Hashable) -> dict[Hashable, object]:
-    """What was built of the same formulas, by name; empty at first.
-
-    Models are records that come and go: a fit makes dozens with other values, a study
-    hundreds. Building CasADi functions takes longer than evaluating them, and what a
-    function computes follows from its formulas alone, so it does not matter who built
-    it. Nothing here is written to a file.
-    """
-    return {}
 
 
 @dataclass(frozen=True, kw_only=True, init=False, repr=False)
@@ -139,45 +125,6 @@ class Model(BaseModel, Summarised):
         self, name: str, value: Callable[[Expressions], ca.SX], *key: str
     ) -> ca.Function:
         return self.built((name, *key), lambda: function_of(self, name, value))
-
-    def with_values(self, values: Mapping[str, float]) -> Self:
-        """A new model with the named parameters set.
-
-        Raises:
-            ModelError: there is no such parameter.
-        """
-        changed = super().with_values(values)
-        if not any(self.entries[name].parameter.fixed for name in values):
-            # Parameters that are not known are arguments of what was built.
-            vars(changed)["_built"] = self._built
-        return changed
-
-    def built(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What ``make`` builds, once for all models with the same formulas.
-
-        It must not depend on the values of the free parameters.
-
-        Args:
-            key: under which it is kept.
-            make: builds it.
-        """
-        if key not in self._built:
-            self._built[key] = make()
-        return cast("T", self._built[key])
-
-    @cached_property
-    def _built(self) -> dict[Hashable, object]:
-        """By the formulas and the numbers in them, on which alone it depends."""
-        # Values of unknown parameters are arguments, and bounds, units and guesses are
-        # for others.
-        terms: list[Hashable] = []
-        for *at, term in self.placed():
-            terms.append((*at, term.body, term.name, term.is_formula, *term.inner))
-        for name, entry in self.entries.items():
-            if entry.parameter.fixed:
-                terms.append((name, entry.parameter.start.hex()))
-        structure = (type(self), self.states, self.inputs, self.memory, self.S)
-        return built_of((*structure, self.free, *terms))
 
 
 @dataclass(frozen=True, kw_only=True, init=False, repr=False)

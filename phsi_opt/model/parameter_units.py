@@ -150,7 +150,6 @@ def _solved(model: BaseModel, stated: Mapping[str, str]) -> dict[str, Powers]:
 def _readable(
     units: Mapping[str, str], split: Callable[[str], Powers | None]
 ) -> dict[str, Powers]:
-    """The powers of the units that can be read."""
     found = {}
     for name, unit in units.items():
         powers = split(unit)

@@ -49,7 +49,6 @@ class PlacedTerm(NamedTuple):
 
     @property
     def place(self) -> str:
-        """Name of its slot of its equation."""
         return place_of(self.slot, self.equation)
 
     def parameter_name(self, inner: str = "") -> str:
@@ -100,7 +99,6 @@ class Variables:
 
     @property
     def efforts(self) -> tuple[str, ...]:
-        """Names of the efforts dH/dx_i."""
         return tuple(f"dH_d{name}" for name in self.states)
 
     @property

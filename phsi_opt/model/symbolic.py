@@ -32,7 +32,6 @@ class Expressions:
 
     @cached_property
     def energy(self) -> Any:
-        """The energy H."""
         return self._total(self._at("H", ""), self._variables)
 
     @cached_property
