@@ -16,7 +16,7 @@ import pytest
 import sympy as sp
 
 import phsi_opt as ph
-from phsi_opt.estimation.fit_record import FitUncertainty
+from phsi_opt.estimation.fit import FitUncertainty
 from phsi_opt.later import Later
 from phsi_opt.model.expressions import NUMPY, evaluate
 from phsi_opt.model.parameters import Share

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import pandas as pd
 
-from phsi_opt.estimation.fit_record import Identified
+from phsi_opt.estimation.identified import Identified
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

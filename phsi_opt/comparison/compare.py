@@ -22,8 +22,7 @@ from phsi_opt.criteria import (
     WHITE_ERROR,
 )
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_record import parameter_matrix
+from phsi_opt.estimation.fit import Fit, parameter_matrix
 from phsi_opt.estimation.free_runs import Parameters, free_runs, leaving_words
 from phsi_opt.estimation.identify import fit_of
 from phsi_opt.estimation.noise_estimation import LEAST_COUNTED

@@ -17,10 +17,10 @@ import numpy as np
 
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.errors import ModelError
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_record import (
+from phsi_opt.estimation.fit import (
     OF_SENSOR,
     SENSOR_ERROR,
+    Fit,
     FitUncertainty,
     ModelErrorRow,
 )

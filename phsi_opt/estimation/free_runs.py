@@ -15,8 +15,7 @@ import numpy as np
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noticed import breaks_of
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_record import parameter_matrix, parameters_of
+from phsi_opt.estimation.fit import Fit, parameter_matrix, parameters_of
 from phsi_opt.initialization.relative_guesses import fast_motion
 from phsi_opt.model.model import Model
 from phsi_opt.simulation.simulate import free_run

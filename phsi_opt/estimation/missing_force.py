@@ -17,8 +17,8 @@ import numpy as np
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_record import (
+from phsi_opt.estimation.fit import (
+    Fit,
     lasting_noise,
     parameter_matrix,
     parameters_of,

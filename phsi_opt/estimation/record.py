@@ -15,9 +15,9 @@ from scipy.optimize import least_squares
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.estimate import Task
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_record import (
+from phsi_opt.estimation.fit import (
     SENSOR_ERROR,
+    Fit,
     parameter_matrix,
     parameters_of,
 )
