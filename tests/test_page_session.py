@@ -588,7 +588,7 @@ def test_what_was_found_is_kept_when_a_solve_is_cancelled_or_its_worker_lost(
     assert counted_as_made[0], "a model counts as made before it is seen"
     assert session.job is not None
     assert session._worker is not None
-    pid = session._worker.pid
+    pid = session._worker.process.pid
     session.cancel()
     assert not is_running(pid)
     assert session.job is None
@@ -597,7 +597,7 @@ def test_what_was_found_is_kept_when_a_solve_is_cancelled_or_its_worker_lost(
     fitted = session.content
     session.diagnose()
     assert session._worker is not None
-    os.kill(session._worker.pid, signal.SIGKILL)
+    os.kill(session._worker.process.pid, signal.SIGKILL)
     wait_for(lambda: session.job is None)
     assert "ended unexpectedly (Diagnosing)" in session.message
     assert session.content is fitted and not session.is_stale
@@ -614,7 +614,7 @@ def test_a_session_that_ends_leaves_no_memory_process_or_file(
     session = filled(tmp_path / "own")
     session.show_up()
     assert session._worker is not None
-    pid = session._worker.pid
+    pid = session._worker.process.pid
     known = weakref.ref(session)
     session.close()
     del session
@@ -643,7 +643,7 @@ def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
     other.fit()
     wait_for(lambda: waits_for(other, 2))
     assert session._worker is not None
-    os.kill(session._worker.pid, signal.SIGKILL)
+    os.kill(session._worker.process.pid, signal.SIGKILL)
     wait_for(lambda: session.job is None)
     assert "(Fitting the base model)" in session.message
     wait_for(lambda: waits_for(other, 1))
@@ -657,7 +657,7 @@ def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
     last.fit()
     session.cancel()
     wait_for(lambda: bool(last.job and last.job.line not in ("", waits(1))))
-    os.kill(session._worker.pid, signal.SIGSTOP)  # it takes no study yet
+    os.kill(session._worker.process.pid, signal.SIGSTOP)  # it takes no study yet
     session.diagnose()
     wait_for(lambda: waits_for(session, 1))
     for one in (other, last):

@@ -11,8 +11,6 @@ how the estimates scatter (Efron and Tibshirani, An Introduction to the Bootstra
 chapter 6).
 """
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -27,7 +25,7 @@ from phsi_opt.arguments import require_known, require_share, typed
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit, parameter_matrix, parameters_of
-from phsi_opt.estimation.fit_file import model_content
+from phsi_opt.estimation.fit_file import digest_of
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.record import Record, likelihood_of, maximum_along, steps_on
 from phsi_opt.interrupts import interruptible
@@ -395,23 +393,14 @@ def bootstrap(
     shown = outputs_at_samples(fit.model, aligned.grid, fit.states, theta)
     noise = dict(fit.noise)
     drawn = partial(_drawn_estimates, fit.model, data, shown, noise, likelihood_of(fit))
-    # What the draws follow from.
-    content = {
-        "model": model_content(fit.model),
-        "by_trajectory": {name: dict(one) for name, one in fit.by_trajectory.items()},
-        "noise": noise,
-        "huber": fit.huber,
-        "data": data.digest,
-        "seed": int(seed),
-    }
-    text = json.dumps(content, sort_keys=True)
+    source = (fit.model, fit.by_trajectory, noise, fit.huber, data.digest, int(seed))
     seeds = np.random.SeedSequence(seed).spawn(n_draws)
     swept = sweep(
         drawn,
         {f"draw {number}": one for number, one in enumerate(seeds)},
         executor=executor,
         folder=folder,
-        of=f"bootstrap {hashlib.sha256(text.encode()).hexdigest()}",
+        of=f"bootstrap {digest_of(source)}",
         progress=progress,
     )
     found = {int(done.key.removeprefix("draw ")): done.result for done in swept}

@@ -74,13 +74,23 @@ class Estimate(ABC):
 
     @property
     @abstractmethod
-    def n_values(self) -> int:
-        """Number of residuals."""
-
-    @property
-    @abstractmethod
     def misfit(self) -> float:
         """The loss without its L1 terms."""
+
+    @property
+    def n_values(self) -> int:
+        """Number of residuals, those of the measured values."""
+        return len(self.grid.channel)
+
+    @property
+    def deviance(self) -> float:
+        """-2 log likelihood; NaN for a loss that has none."""
+        return np.nan
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion, deviance + n_theta log(n_values)."""
+        return self.deviance + len(self.unknown) * float(np.log(self.n_values))
 
     @abstractmethod
     def uncertainty_at_optimum(self) -> Uncertainty:

@@ -4,6 +4,7 @@ Formulas stay text. Reading one goes through the whitelist of `expressions`, whe
 model checks its terms; nothing of a file is ever run as code.
 """
 
+import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
@@ -34,6 +35,10 @@ GUESSES: dict[str, type[Scan | Share | Tried]] = {
     "Scan": Scan,
     "Share": Share,
     "Tried": Tried,
+}
+MODEL_PARTS: Mapping[str, Any] = {
+    **dict.fromkeys(("states", "inputs", "memory", "S"), Any),
+    **{"H": Dictionary, **dict.fromkeys(BY_EQUATION, Mapping[str, Dictionary])},
 }
 # What a damaged content can raise while an object is made of it.
 DAMAGE = (
@@ -68,6 +73,12 @@ def encoded(value: Any) -> Any:
     if isinstance(value, Unit):
         return {"computed": str(value), **vars(value.scale)}
     return value
+
+
+def digest_of(*values: Any) -> str:
+    """SHA-256 of all that the values say, as hex digits."""
+    text = json.dumps(encoded(values), default=repr)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def decoded(kind: Any, value: Any) -> Any:
@@ -131,7 +142,7 @@ def check_keys(content: Mapping[str, Any], known: Iterable[str]) -> None:
 def model_content(model: Model) -> Content:
     """The content of a model."""
     content = {"kind": type(model).__name__, "kinds": dict(model.kind)}
-    for name in ("states", "inputs", "memory", "S", "H", *BY_EQUATION):
+    for name in MODEL_PARTS:
         content[name] = encoded(getattr(model, name))
     return content
 
@@ -143,16 +154,10 @@ def model_from(content: Content) -> Model:
         ModelError: A formula is not one, or the model contradicts itself.
         LookupError, TypeError, ValueError, AttributeError: The content is damaged.
     """
-    kind = KINDS[content["kind"]]
-    parts: Content = {"kind": content["kinds"]}
-    for name in ("states", "inputs", "memory"):
-        parts[name] = content[name]
-    for slot in BY_EQUATION:
-        parts[slot] = decoded(Mapping[str, Dictionary], content[slot])
-    if kind is PseudoHamiltonian:
-        parts["S"] = content["S"]
-        parts["H"] = decoded(Dictionary, content["H"])
-    return kind(**parts)
+    parts = {"kind": content["kinds"]}
+    for name, kind in MODEL_PARTS.items():
+        parts[name] = decoded(kind, content[name])
+    return KINDS[content["kind"]](**parts)
 
 
 def read_json(

@@ -65,11 +65,6 @@ class LikelihoodEstimate(Estimate):
     is_known: np.ndarray  # (n_states,) whether it was declared
 
     @property
-    def n_values(self) -> int:
-        """Number of measured values."""
-        return len(self.grid.channel)
-
-    @property
     def states(self) -> tuple[np.ndarray, ...]:
         """States at the samples, (n_samples, n_states) per trajectory."""
         return self.task.grid.split(self.nodes[self.grid.sample])
@@ -112,11 +107,6 @@ class LikelihoodEstimate(Estimate):
         counts = self.grid.measured.sum(axis=0)
         log_variance = np.log(2 * np.pi * self.sigma**2)
         return self.chi_square + float(np.sum(counts * log_variance))
-
-    @property
-    def bic(self) -> float:
-        """Bayesian information criterion, deviance + n_theta log(n_values)."""
-        return self.deviance + len(self.unknown) * float(np.log(self.n_values))
 
     @cached_property
     def reduced(self) -> OptimalitySystem:
@@ -271,11 +261,6 @@ class DisturbedEstimate(Estimate):
     joint: JointEstimate  # parameters, states and forces
 
     @property
-    def n_values(self) -> int:
-        """Number of measured values."""
-        return self.search.problem.n_values
-
-    @property
     def misfit(self) -> float:
         """Mean of the squared residuals over their noise, the force let in."""
         return float(np.sum(self.solution.residual[: self.n_values] ** 2) / 2)
@@ -350,11 +335,10 @@ class DisturbedEstimate(Estimate):
             return fit
         # White noise, the mean over trajectories.
         mean_noise = np.sqrt(np.mean(self.disturbances.sigma**2, axis=0))
-        bic = self.deviance + len(self.unknown) * float(np.log(self.n_values))
         return replace(
             fit,
             noise=self.noise_by_name(mean_noise),
-            bic=bic,
+            bic=self.bic,
             steps=tuple(steps_per_gap(self.grid)),
             has_model_error=True,
         )

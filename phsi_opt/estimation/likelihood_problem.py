@@ -115,7 +115,7 @@ class LikelihoodProblem:
         settings = self.task.settings
         if settings.thorough and not start.is_optimum:
             found = []
-            if settings.has_own_steps:
+            if settings.solver == "auto":
                 # Few steps are enough where a crude start is near.
                 near = self.solve(start, most_steps=12)
                 if is_at_scatter(near):
@@ -187,7 +187,7 @@ class LikelihoodProblem:
         )
         settings = self.task.settings
         optimum = None
-        if settings.has_own_steps and not self.loss.has_slacks(values.unknown, l1):
+        if settings.solver == "auto" and not self.loss.has_slacks(values.unknown, l1):
             if most_steps is not None:
                 most = min(most_steps, settings.max_iterations)
                 settings = replace(settings, max_iterations=most)

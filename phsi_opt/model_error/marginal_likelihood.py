@@ -798,7 +798,7 @@ class ForcePosterior:
         It changes slowly, is solved for at 16 to 400 intervals, as many as fit in
         memory, and interpolated between.
         """
-        most = int(np.clip(MOST_SOLVED / self._n_solved, 16, 400))
+        most = int(np.clip(MOST_SOLVED / len(self._system.right), 16, 400))
         n_intervals = self.likelihood.problem.grid.n_intervals
         evenly = np.linspace(0, n_intervals - 1, min(most, n_intervals))
         chosen = np.unique(evenly.astype(int))
@@ -854,7 +854,7 @@ class ForcePosterior:
         """
         force, places, whitener = self._forces[number]
         n_forces = forces.shape[1]
-        n_parts = 1 + int(self._n_solved * n_forces / MOST_SOLVED)
+        n_parts = 1 + int(len(self._system.right) * n_forces / MOST_SOLVED)
         shown = np.empty_like(forces)
         for part in np.array_split(np.arange(n_forces), n_parts):
             right = self._zeros(len(part))
@@ -864,13 +864,8 @@ class ForcePosterior:
             shown[:, part] = forces[:, part] - hidden
         return shown
 
-    @property
-    def _n_solved(self) -> int:
-        """Number of states, forces and multipliers, which are solved for."""
-        return len(self._system.right)
-
     def _zeros(self, n_columns: int) -> np.ndarray:
-        return np.zeros((self._n_solved, n_columns), order="F")
+        return np.zeros((len(self._system.right), n_columns), order="F")
 
 
 def solve_border(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

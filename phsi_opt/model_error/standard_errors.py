@@ -9,7 +9,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -83,11 +83,6 @@ class Clusters:
         )
 
     @property
-    def n_clusters(self) -> int:
-        """Number of trajectories."""
-        return len(self.scores)
-
-    @property
     def _everything(self) -> np.ndarray:
         everything: np.ndarray = self.information.sum(axis=0) + self.prior
         return everything
@@ -104,7 +99,7 @@ class Clusters:
         for score, own in zip(self.scores, self.information, strict=True):
             moves.append(np.linalg.lstsq(everything - own, score)[0])
         shifts = np.array(moves)[:, : self.n_theta]
-        n = self.n_clusters
+        n = len(self.scores)
         covariance: np.ndarray = (n - 1) / n * (shifts.T @ shifts)
         return covariance
 
@@ -123,13 +118,13 @@ class Clusters:
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = np.var(shares, axis=0) / squared_mean
         spread = np.where(squared_mean > 0, spread, np.inf)
-        numbers: np.ndarray = self.n_clusters / (1 + spread)
+        numbers: np.ndarray = len(self.scores) / (1 + spread)
         return numbers
 
     @property
     def is_enough(self) -> bool:
         """Whether their scatter shows how uncertain the parameters are."""
-        if self.n_clusters < FEWEST_TRAJECTORIES or not self.n_theta:
+        if len(self.scores) < FEWEST_TRAJECTORIES or not self.n_theta:
             return False
         return bool(self.effective_numbers().min() >= FEWEST_TRAJECTORIES)
 
@@ -225,12 +220,9 @@ class PlainEstimate:
         system = self.search.likelihood(self.white).at(self.white, REGULAR)
         borders = system.borders_by_trajectory()
         found = Clusters.of(borders, np.zeros(len(self.search.moving)))
-        return Clusters(
-            scores=found.scores,
-            information=self.within * found.information,
-            prior=found.prior,
-            n_theta=found.n_theta,
-            score_variance=self.score_variance,
+        information = self.within * found.information
+        return replace(
+            found, information=information, score_variance=self.score_variance
         )
 
 

@@ -62,11 +62,6 @@ class SolverSettings:
         require_count("SolverSettings: max_iterations", self.max_iterations)
         require_choice("SolverSettings: solver", self.solver, SOLVERS)
 
-    @property
-    def has_own_steps(self) -> bool:
-        """Whether a likelihood may be solved without IPOPT."""
-        return self.solver == "auto"
-
 
 DIRECT_STEPS = "Direct_Steps"  # status of full Gauss-Newton steps
 TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded")

@@ -116,11 +116,6 @@ class WorkerHandle:
         threading.Thread(target=self._listen, daemon=True).start()
         threading.Thread(target=self._write, daemon=True).start()
 
-    @property
-    def pid(self) -> int:
-        """The number of the process."""
-        return self.process.pid or 0
-
     def tell(self, order: Order, study: Path | None = None) -> None:
         """Send an order; the worker takes it when the one before is done."""
         known, self.study = self.study, study

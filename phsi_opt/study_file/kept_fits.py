@@ -7,7 +7,6 @@ is damaged, or belongs to another model or to other measurements, counts as empt
 deleting it is always safe. Free runs and missing forces are computed again.
 """
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
@@ -27,13 +26,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_file import (
-    DAMAGE,
-    Content,
-    decoded,
-    encoded,
-    model_content,
-)
+from phsi_opt.estimation.fit_file import DAMAGE, Content, decoded, digest_of, encoded
 from phsi_opt.model.catalogue import EffectChoice
 from phsi_opt.reading import file_text
 from phsi_opt.study import Study
@@ -58,13 +51,11 @@ class KeptFits:
         """Those of a study file, with what it says and the measurements to fit."""
         # The files of the package, which a developer changes, belong to its version.
         edition = map(os.path.getmtime, sorted(PACKAGE.rglob("*.py")))
-        content: list[Any] = [version("phsi_opt"), *edition]
-        content.append(model_content(sections.base))
-        content += map(encoded, (sections.loss, sections.own_effects))
-        content += [train.digest, *map(encoded, (train.units, train.hold, train.noise))]
-        text = json.dumps(content, default=repr)
+        asked = (sections.base, sections.loss, sections.own_effects)
+        data = (train.digest, train.units, train.hold, train.noise)
+        key = digest_of(version("phsi_opt"), list(edition), asked, data)
         path = study_file.with_name(study_file.name + SUFFIX)
-        return cls(path, _digest(text), train.hold)
+        return cls(path, key, train.hold)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies read the file again."""
@@ -110,7 +101,7 @@ class KeptFits:
             self._entries[name] = found[name]()
         text = json.dumps({"key": self.key, "found": self._entries})
         with suppress(DataError):
-            write_whole(self.path, f"{_digest(text)}\n{text}\n")
+            write_whole(self.path, f"{digest_of(text)}\n{text}\n")
 
     @cached_property
     def _entries(self) -> dict[str, Content]:
@@ -120,7 +111,7 @@ class KeptFits:
         with suppress(OSError, *DAMAGE):
             digest, text, _ = file_text(self.path).split("\n")
             content = json.loads(text)
-            if (digest, content["key"]) == (_digest(text), self.key):
+            if (digest, content["key"]) == (digest_of(text), self.key):
                 return dict(content["found"])
         return {}
 
@@ -189,7 +180,3 @@ def _diagnosis_from(content: Content, study: StudyRecord) -> Diagnosis:
         best = replace(best, fit=larger.fit, trained=runs[0], comparison=runs[1])
         parts["ranking"] = (best, *others)
     return Diagnosis(base.record, base.judged, proposed_fit=proposed, **parts)
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
