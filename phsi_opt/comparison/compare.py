@@ -47,10 +47,7 @@ from phsi_opt.statistics import (
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.sensors import (
-    output_slopes,
-    output_slopes_in_theta,
-)
+from phsi_opt.transcription.sensors import output_slopes, output_slopes_in_theta
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -76,7 +76,6 @@ class Header:
 
     @property
     def is_run(self) -> bool:
-        """Whether it says that it names runs."""
         return not RUN_WORDS.isdisjoint(_words(self.label)[:1])
 
     @property

@@ -18,12 +18,7 @@ from phsi_opt.data.channel_noise import (
     robust_deviation,
     scatter_of,
 )
-from phsi_opt.data.trajectory import (
-    STEPPED_SHARE,
-    Trajectory,
-    is_stepped,
-    run_numbers,
-)
+from phsi_opt.data.trajectory import STEPPED_SHARE, Trajectory, is_stepped, run_numbers
 from phsi_opt.errors import some_of
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.units import date_words, spaced, time_words
@@ -217,7 +212,6 @@ class DataLook:
 
     @property
     def state_looks(self) -> tuple[ChannelLook, ...]:
-        """Those of the states."""
         return self.channels[: len(self.states)]
 
     @cached_property

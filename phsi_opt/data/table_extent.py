@@ -83,7 +83,6 @@ class Row:
 
     @property
     def n_values(self) -> int:
-        """The number of numbers and moments."""
         return self.kinds.count(VALUE) + self.kinds.count(DATE)
 
     @property
@@ -98,7 +97,6 @@ class Row:
 
     @property
     def n_units(self) -> int:
-        """The number of its cells that are units."""
         return sum(map(bool, map(unit_in, self.cells)))
 
     def fits(self, typical: str) -> bool:

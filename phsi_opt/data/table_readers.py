@@ -381,7 +381,6 @@ class Layout:
 
     @property
     def columns(self) -> list[Any]:
-        """The columns that are asked for."""
         clocks = dict.fromkeys(self.clocks.values())
         return [*itertools.chain(*map(columns_in, self.parts.values())), *clocks]
 

@@ -98,7 +98,6 @@ class Estimate(ABC):
 
     @property
     def is_success(self) -> bool:
-        """Whether the solver reached an optimum."""
         return self.solution.outcome.success
 
     @property
@@ -114,7 +113,6 @@ class Estimate(ABC):
 
     @property
     def has_l1(self) -> bool:
-        """Whether an L1 term shrinks the coefficients."""
         return any(self.l1.values())
 
     @property
@@ -153,7 +151,6 @@ class Estimate(ABC):
         return {self.model.states[k]: float(sigma[k]) for k in measured}
 
     def fit(self) -> Fit:
-        """The result record."""
         data = self.task.data
         by_trajectory = {}
         if not self.unknown.is_shared:

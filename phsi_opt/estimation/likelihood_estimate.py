@@ -237,7 +237,6 @@ class LikelihoodEstimate(Estimate):
         return np.where(np.isfinite(of_noise), known, np.nan)
 
     def fit(self) -> Fit:
-        """The result record, with noise, states and information criterion."""
         return replace(
             super().fit(),
             noise=self.noise_by_name(self.sigma),
@@ -271,7 +270,6 @@ class DisturbedEstimate(Estimate):
 
     @property
     def nodes(self) -> np.ndarray:
-        """States at the nodes, (n_nodes, n_states)."""
         return self.search.problem.nodes
 
     @cached_property

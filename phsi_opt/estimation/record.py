@@ -15,12 +15,7 @@ from scipy.optimize import least_squares
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.estimate import Task
-from phsi_opt.estimation.fit import (
-    SENSOR_ERROR,
-    Fit,
-    parameter_matrix,
-    parameters_of,
-)
+from phsi_opt.estimation.fit import SENSOR_ERROR, Fit, parameter_matrix, parameters_of
 from phsi_opt.estimation.free_runs import Parameters, free_runs
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
@@ -88,7 +83,6 @@ class Record(WithMeasurements):
 
     @property
     def model(self) -> Model:
-        """The fitted model."""
         return self.fit.model
 
     @cached_property

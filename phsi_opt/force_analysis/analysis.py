@@ -64,7 +64,6 @@ class ForceAnalysis:
 
     @classmethod
     def of(cls, record: Record) -> "ForceAnalysis":
-        """The analysis of a record's missing forces."""
         found = ForceRecord.of(record)
         forces = [EquationForce(found, equation) for equation in found.equations]
         return cls(found, tuple(forces))

@@ -38,11 +38,7 @@ from phsi_opt.model.catalogue import inertia_of, lacking_quantity
 from phsi_opt.model.expressions import NUMPY, evaluate, names_of
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC
 from phsi_opt.model.parameter_units import drive_of
-from phsi_opt.model.structure import (
-    kind_of,
-    position_of_momentum,
-    with_kinds_of_units,
-)
+from phsi_opt.model.structure import kind_of, position_of_momentum, with_kinds_of_units
 from phsi_opt.presentation.numbers import label
 from phsi_opt.presentation.units import (
     Scale,
@@ -126,7 +122,6 @@ class EquationForce(Force):
 
     @cached_property
     def causes(self) -> Causes:
-        """What explains the force."""
         return causes_of(self, self.wave) if self.wave else self._causes_by_knots
 
     _causes_by_knots = cached_property(causes_of)  # by functions of few knots alone

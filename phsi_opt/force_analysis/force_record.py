@@ -65,7 +65,6 @@ class ForceRecord:
 
     @classmethod
     def of(cls, record: Record) -> "ForceRecord":
-        """The missing forces of a record."""
         model = record.model.with_values(record.estimate.rounded)
         return cls(record, model, Points.middles(record))
 
@@ -76,7 +75,6 @@ class ForceRecord:
 
     @property
     def trajectories(self) -> tuple[str, ...]:
-        """Their names."""
         return self.along.runs
 
     def origin_of(self, trajectory: str) -> dt.datetime | None:
@@ -216,7 +214,6 @@ class Force:
 
     @property
     def squares(self) -> float:
-        """Sum of squares of the force."""
         return float(self.w @ self.w)
 
     def left_out_error(

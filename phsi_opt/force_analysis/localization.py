@@ -114,7 +114,6 @@ class Pace:
 
     @classmethod
     def of(cls, force: Force) -> "Pace":
-        """The pace of a missing force."""
         record = force.record
         x = record.points.x
         rates = np.sqrt(np.mean(record.rates**2, axis=0))

@@ -10,11 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phsi_opt.criteria import CHANCE_LEVEL, CLEAR_PATTERN
-from phsi_opt.force_analysis.analysis import (
-    ForceAnalysis,
-    dependence_title,
-    sentence,
-)
+from phsi_opt.force_analysis.analysis import ForceAnalysis, dependence_title, sentence
 from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import is_mostly_constant

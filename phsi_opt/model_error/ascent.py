@@ -86,7 +86,6 @@ class Component:
     def of(
         cls, process: Process, site: Site, projected_data: np.ndarray
     ) -> "Component":
-        """Of a process."""
         whitener = site.whitener(process.time)
         normals = whitener.factor_of(site.effects.T @ projected_data[:, None])
         return cls(process, site, whitener, normals)

@@ -70,7 +70,6 @@ class DisturbanceSearch:
     is_brief: bool = False
 
     def likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
-        """The marginal likelihood for disturbances of this structure."""
         return MarginalLikelihood(self.problem, disturbances, self.moving)
 
     def evidence(self, disturbances: Disturbances) -> Evidence:

@@ -82,7 +82,6 @@ class Whitener:
 
     @property
     def log_det(self) -> float:
-        """Logarithm of the determinant."""
         return float(np.sum(np.log(self.diagonal)))
 
     @property
@@ -219,7 +218,6 @@ class Disturbances:
 
     @property
     def function_sizes(self) -> np.ndarray:
-        """Size of every function, (n_functions,)."""
         return np.array([function.size for function in self.functions])
 
     @property

@@ -168,7 +168,6 @@ class JointProblem:
 
     @property
     def values(self) -> LikelihoodValues:
-        """The likelihood of parameters and states."""
         return self.linearizer.values
 
     @cached_property

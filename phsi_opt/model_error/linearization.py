@@ -90,22 +90,18 @@ class Linearization:
 
     @property
     def n_states(self) -> int:
-        """Number of states."""
         return len(self.x_scale)
 
     @property
     def n_theta(self) -> int:
-        """Number of parameters."""
         return len(self.theta_scale)
 
     @property
     def n_values(self) -> int:
-        """Number of measured values."""
         return len(self.residual)
 
     @property
     def n_trajectories(self) -> int:
-        """Number of trajectories."""
         return self.grid.n_trajectories
 
     @property

@@ -463,7 +463,6 @@ class OptimalitySystem:
 
     @property
     def problem(self) -> Linearization:
-        """The linearised record."""
         return self.likelihood.problem
 
     @property
@@ -544,7 +543,6 @@ class OptimalitySystem:
 
     @property
     def log_evidence(self) -> float:
-        """That of the border."""
         return self.border.log_evidence
 
     @property

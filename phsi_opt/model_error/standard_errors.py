@@ -237,7 +237,6 @@ class StandardErrors:
 
     @property
     def spread(self) -> Spread:
-        """The one that is given."""
         return self.spreads[self.source]
 
 

@@ -125,7 +125,6 @@ class Banded:
 
     @property
     def log_abs_det(self) -> float:
-        """Logarithm of the absolute value of the determinant."""
         diagonal = self._factors[self.layout.kl + self.layout.ku]
         return float(np.sum(np.log(np.abs(diagonal))))
 

@@ -90,7 +90,6 @@ class DataView:
     go: Callable[[str], Any]  # shows a part
 
     def build(self) -> None:
-        """Draw it all."""
         with card():
             heading("Measurements")
             ui.label(ABOUT).classes("faint")
@@ -285,7 +284,6 @@ class ModelView:
         return self.session.draft.model
 
     def build(self) -> None:
-        """Draw it all."""
         self.gallery()
         self.fields()
         with card():
@@ -293,7 +291,6 @@ class ModelView:
 
     @ui.refreshable_method
     def gallery(self) -> None:
-        """The base models to begin with."""
         with card():
             heading("Base model")
             ui.label("Choose a base model of the machine, then edit it below.")
@@ -336,7 +333,6 @@ class ModelView:
 
     @ui.refreshable_method
     def fields(self) -> None:
-        """The model as it is written."""
         draft = self._draft
         with card():
             heading("The model in formulas")
@@ -399,7 +395,6 @@ class ModelView:
 
     @ui.refreshable_method
     def parameters(self) -> None:
-        """A row for each."""
         for one in self._draft.parameters:
             self._parameter(one)
         button("Add a parameter", partial(self._add_parameter, ""), quiet=True)

@@ -21,12 +21,7 @@ from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.numbers import shortened
 from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME, UNUSED
-from phsi_opt.study_file.keys import (
-    Complaints,
-    TooManyComplaintsError,
-    listed,
-    usable,
-)
+from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, listed, usable
 from phsi_opt.study_file.sections import without
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.study_text import text_of
@@ -175,7 +170,6 @@ class PartDraft:
         return cls((found or [USUAL_WAYS[section]])[0], dict(told))
 
     def content(self, section: str) -> Content:
-        """The section."""
         if self.way in KEYS_OF_WAYS:
             key = KEYS_OF_WAYS[self.way]
             return {key: self.table.get(key, "")}
@@ -250,11 +244,9 @@ class DataDraft:
         return draft
 
     def with_role(self, role: str) -> list[ColumnDraft]:
-        """The columns of a role."""
         return [column for column in self.columns if column.role == role]
 
     def column_named(self, role: str, name: str) -> ColumnDraft | None:
-        """The column that is a state or an input of this name."""
         return next((one for one in self.with_role(role) if one.name == name), None)
 
     def measure(self, role: str, name: str, column: str | None) -> None:
@@ -385,14 +377,12 @@ class ParameterDraft:
 
     @classmethod
     def of(cls, name: str, content: Any) -> "ParameterDraft":
-        """That of an entry of [parameters]."""
         told = content if isinstance(content, Mapping) else {"value": content}
         known = {"fixed": True} if "value" in told else {}
         return cls({"name": name, **told, **known})
 
     @property
     def name(self) -> str:
-        """In the formulas."""
         return str(self.table.get("name", ""))
 
     @property
@@ -430,7 +420,6 @@ class ModelDraft:
     def of(
         cls, content: Mapping[str, Any], parameters: Mapping[str, Any], title: str = ""
     ) -> "ModelDraft":
-        """That of the sections [model] and [parameters]."""
         slots = {slot: dict(content.get(slot, {})) for slot in "RF"}
         rows = [ParameterDraft.of(*one) for one in parameters.items()]
         return cls({**content, **slots}, rows, title)
@@ -445,7 +434,6 @@ class ModelDraft:
         return list(dict.fromkeys(listed(self.table.get(what, ()))))
 
     def content(self) -> Content:
-        """The section [model]."""
         empty: Content = {"states": [], "pairs": [], "H": ""}
         content = {**empty, "type": self.type, **self.table}
         if self.type == FIRST_ORDER:
@@ -511,11 +499,9 @@ class StudyDraft:
         return Drafted(text_of(content), self.places)
 
     def as_it_is(self) -> Drafted:
-        """What is filled in now."""
         return Drafted(text_of(self.content()), self.places)
 
     def content(self) -> Content:
-        """The tables of the study file."""
         content: Content = {**self.kept, "model": self.model.content()}
         if self.data is not None:
             content["data"] = self.data.content(self.model.names("states"))

@@ -1,11 +1,6 @@
 """The gallery in the page: columns become the states and inputs of a base model."""
 
-from phsi_opt.page.drafts import (
-    NOT_USED,
-    DataDraft,
-    ModelDraft,
-    StudyDraft,
-)
+from phsi_opt.page.drafts import NOT_USED, DataDraft, ModelDraft, StudyDraft
 from phsi_opt.study_file.columns import INPUT, STATE
 from phsi_opt.study_file.gallery import GALLERY, BaseModel, matched, with_units
 

@@ -165,7 +165,6 @@ class Sessions:
                 session.rest(after=600.0)
 
     def close(self) -> None:
-        """End everything."""
         for session in list(self._by_key.values()):
             session.close()
         self._by_key.clear()

@@ -22,13 +22,7 @@ from itertools import filterfalse
 from pathlib import Path, PurePath
 from typing import Any
 
-from phsi_opt.errors import (
-    Complaint,
-    DataError,
-    PhsiOptError,
-    StudyFileError,
-    some_of,
-)
+from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError, some_of
 from phsi_opt.page import worker
 from phsi_opt.page.drafts import (
     MOST_FILES,

@@ -71,7 +71,6 @@ class StudyView:
 
     @ui.refreshable_method
     def build(self) -> None:
-        """Draw it all."""
         session = self._session
         content = session.content
         if content is None:
@@ -205,7 +204,6 @@ class StudyView:
         self._field.set_value(None)
 
     def _look_at(self, **place: Any) -> None:
-        """Show another run, channel or time."""
         self._session.look = replace(self._session.look, **place)
         self.overlay.refresh()
         self.force.refresh()
@@ -272,7 +270,6 @@ class StudyView:
 
     @ui.refreshable_method
     def side_by_side(self) -> None:
-        """Errors and parameters of two models."""
         chosen = self._chosen()
         if len(chosen) > 1:
             said_by("side_by_side", list(chosen), rows_of(list(chosen.values())))

@@ -47,7 +47,6 @@ class Answer:
 
     @property
     def told(self) -> str:
-        """What a report says."""
         return f"{self.lead} {self.detail}".strip()
 
     def __str__(self) -> str:
@@ -72,7 +71,6 @@ class Headline:
 
     @property
     def sentence(self) -> str:
-        """What was found and what it changed."""
         return self.discovery.told
 
 
@@ -86,7 +84,6 @@ class Check:
 
     @property
     def word(self) -> str:
-        """The severity in words."""
         return SEVERITY_WORDS[self.severity]
 
 

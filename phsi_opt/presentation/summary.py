@@ -56,7 +56,6 @@ class Summarised:
     def __rich_console__(
         self, console: "Console", options: "ConsoleOptions"
     ) -> "Iterator[RenderableType]":
-        """What rich prints."""
         from rich.text import Text
 
         from phsi_opt.presentation.tables import rich_of_table

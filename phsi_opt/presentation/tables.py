@@ -45,7 +45,6 @@ class PrintedTable(pd.DataFrame):
     def __rich_console__(
         self, console: "Console", options: "ConsoleOptions"
     ) -> "Iterator[Table | Text]":
-        """What rich prints."""
         yield from rich_of_table(self, options.max_width)
 
 

@@ -38,12 +38,7 @@ from phsi_opt.presentation.content import (
     Answer,
     Headline,
 )
-from phsi_opt.presentation.numbers import (
-    number,
-    range_words,
-    said,
-    with_error,
-)
+from phsi_opt.presentation.numbers import number, range_words, said, with_error
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
     STANDARD_DEVIATIONS,

@@ -51,11 +51,7 @@ from phsi_opt.presentation.numbers import (
     with_error,
 )
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import (
-    Scale,
-    scale_of,
-    scale_of_time,
-)
+from phsi_opt.presentation.units import Scale, scale_of, scale_of_time
 from phsi_opt.screening.effect_size import NOT_DETERMINED, names_beside_size
 from phsi_opt.statistics import rms
 from phsi_opt.study.answers import (

@@ -117,7 +117,6 @@ class StudyRecord:
 
     @property
     def train(self) -> Measurements:
-        """The measurements that are fitted."""
         return self.training.data
 
     @property
@@ -186,7 +185,6 @@ class StudyRecord:
 
     @property
     def last(self) -> Step:
-        """The present step."""
         return self.steps[-1]
 
     @property

@@ -111,7 +111,6 @@ class Column(Header):
 
     @property
     def may_be_input(self) -> bool:
-        """Whether it is a state, or an input."""
         return self.said.endswith(PERHAPS_INPUT)
 
     def take_dates_of(self, cells: pd.Series) -> None:
@@ -138,12 +137,10 @@ class Column(Header):
 
     @property
     def n_missing(self) -> int:
-        """How many cells are empty."""
         return int(self.is_missing.sum())
 
     @property
     def first_missing(self) -> str:
-        """The line of the first cell that is empty."""
         return self.lines[int(np.argmax(self.is_missing))]
 
     @property
@@ -161,7 +158,6 @@ class Column(Header):
         return not self.rises_by_one
 
     def rows_of(self, run: "Column | None") -> list[np.ndarray]:
-        """The rows of each run."""
         if run is None:
             return [np.arange(len(self.lines))]
         return list(rows_of_runs(run.cells).values())
@@ -173,7 +169,6 @@ class Column(Header):
         return is_stepped(self.known_in(run))
 
     def known_in(self, run: "Column | None") -> list[np.ndarray]:
-        """Its values in each run, where they are known."""
         assert self.values is not None
         runs = [self.values[rows] for rows in self.rows_of(run)]
         return [one[np.isfinite(one)] for one in runs]

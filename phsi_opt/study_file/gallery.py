@@ -48,12 +48,10 @@ class BaseModel:
 
     @property
     def units(self) -> dict[str, str]:
-        """The units of all states."""
         return {**self.states, **self.hidden}
 
     @property
     def input_units(self) -> dict[str, str]:
-        """The units of the inputs."""
         return {name: one["unit"] for name, one in self.inputs.items()}
 
     @property

@@ -157,7 +157,6 @@ class Key(NamedTuple):
 
     @property
     def what(self) -> Form:
-        """Its form."""
         options = self.options
         return Form(options.__contains__, self.form) if options else FORMS[self.form]
 

@@ -54,7 +54,6 @@ class ModelReader:
 
     @property
     def section(self) -> Content:
-        """The section [model]."""
         return self.file.get("model", {})
 
     def _names(self, what: str) -> tuple[str, ...]:
@@ -216,7 +215,6 @@ class ModelReader:
         return Dictionary((Term(names, coefficient, inner, content.get("name", "")),))
 
     def effects(self) -> tuple[Effect, ...]:
-        """The effects of the user's own."""
         made = map(self._effect, self.file.get("effects", ()), count())
         return tuple(filter(None, made))
 

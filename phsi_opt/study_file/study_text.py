@@ -24,13 +24,7 @@ from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.numbers import LINE_WIDTH
 from phsi_opt.presentation.units import in_si, scale_of
-from phsi_opt.study_file.sections import (
-    Sections,
-    own_effect,
-    parts_of,
-    told,
-    without,
-)
+from phsi_opt.study_file.sections import Sections, own_effect, parts_of, told, without
 from phsi_opt.study_file.toml_text import key_text, text_template, toml_value
 
 Content = dict[str, Any]

@@ -22,12 +22,7 @@ from phsi_opt.data.file_opening import DataFile
 from phsi_opt.data.headers import TIMES, Header, words_in
 from phsi_opt.data.table_extent import NUMBER
 from phsi_opt.data.tables import Table
-from phsi_opt.data.times import (
-    begun_anew,
-    clock_of,
-    is_milliseconds,
-    names_of_parts,
-)
+from phsi_opt.data.times import begun_anew, clock_of, is_milliseconds, names_of_parts
 from phsi_opt.errors import DataError, some_of
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
 from phsi_opt.study_file.columns import (
@@ -87,12 +82,10 @@ class TableSurvey:
     step: float | None  # the time between samples, where no column has the times
 
     def of_part(self, part: str) -> list[Column]:
-        """The columns that are one thing."""
         return [column for column in self.columns if column.part == part]
 
     @property
     def read(self) -> list[ReadKey]:
-        """How the file was read."""
         return list(self._read_keys())
 
     def _read_keys(self) -> Iterator[ReadKey]:

@@ -53,7 +53,6 @@ class _Workers(SpawnContext):
         self._made: list[_Worker] = []
 
     def Process(self, *args: Any, **kwargs: Any) -> _Worker:  # type: ignore[override]  # noqa: N802
-        """A new process, as `ProcessPoolExecutor` asks for it."""
         made = _Worker(*args, **kwargs)
         self._made.append(made)
         return made
