@@ -25,8 +25,9 @@ from phsi_opt.page.drafts import (
     RUNS,
     ColumnDraft,
     DataDraft,
+    draft_of,
+    match_states,
 )
-from phsi_opt.page.gallery import draft_of, match_states
 from phsi_opt.page.guards import UploadLimit
 from phsi_opt.page.parts import complaint_words, words
 from phsi_opt.page.serve import is_loopback, serve

@@ -23,10 +23,15 @@ from phsi_opt.criteria import (
 )
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit, parameter_matrix
-from phsi_opt.estimation.free_runs import Parameters, free_runs, leaving_words
 from phsi_opt.estimation.identify import fit_of
 from phsi_opt.estimation.noise_estimation import LEAST_COUNTED
-from phsi_opt.estimation.record import Record, smoothed_states
+from phsi_opt.estimation.record import (
+    Parameters,
+    Record,
+    free_runs,
+    leaving_words,
+    smoothed_states,
+)
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model

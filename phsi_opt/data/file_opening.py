@@ -1,7 +1,6 @@
 """Opening files: their content, and the names that messages and trajectories use.
 
-What the content means is the business of `text_tables`, `excel_tables`,
-`matlab_tables`.
+What the content means is the business of `text_tables` and `binary_tables`.
 """
 
 import codecs

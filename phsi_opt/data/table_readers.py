@@ -14,12 +14,10 @@ from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
 import numpy as np
 
 from phsi_opt.arguments import checked_types, is_size, require_known, types_of
+from phsi_opt.data.binary_tables import table_of_excel, table_of_groups, table_of_mat
 from phsi_opt.data.checks import Hold, check_unique, checked_names
-from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import BinarySource, Source, opened_files
 from phsi_opt.data.headers import unit_of_header
-from phsi_opt.data.logger_tables import table_of_groups
-from phsi_opt.data.matlab_tables import table_of_mat
 from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_frame
 from phsi_opt.data.text_tables import TextFormat, table_of_csv
 from phsi_opt.data.times import (

@@ -82,23 +82,7 @@ class Identified:
         return {entry.name: self.values[entry.name]}
 
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
-        """Simulate the fitted model from given starting states, by SciPy.
-
-        Inputs are held between samples as the measurements declared it.
-
-        Args:
-            t: (n_samples,) times, increasing; the simulation starts at ``t[0]``.
-            x0: (n_states,) states at ``t[0]``.
-            u: (n_samples, n_inputs) inputs at the times, or a function of the time;
-                None: the model has none.
-
-        Returns:
-            (n_samples, n_states) states at the times.
-
-        Raises:
-            DataError: An argument has the wrong shape.
-            SolveError: The simulation broke off before the last time.
-        """
+        """States (n_samples, n_states) by SciPy; arguments as in `Fit.simulate`."""
         return simulate(self.model, t, x0, u, hold=self.hold)
 
     def sympy(self, named: bool = False) -> "dict[str, sp.Expr]":

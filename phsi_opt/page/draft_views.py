@@ -31,8 +31,8 @@ from phsi_opt.page.drafts import (
     ParameterDraft,
     PartDraft,
     in_megabytes,
+    left_over,
 )
-from phsi_opt.page.gallery import left_over
 from phsi_opt.page.parts import (
     Then,
     alert,

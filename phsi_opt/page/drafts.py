@@ -21,6 +21,7 @@ from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.numbers import shortened
 from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME, UNUSED
+from phsi_opt.study_file.gallery import GALLERY, BaseModel, matched, with_units
 from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, listed, usable
 from phsi_opt.study_file.sections import without
 from phsi_opt.study_file.study_file import StudyFile
@@ -510,6 +511,63 @@ class StudyDraft:
         named = {one.name: _without(one.table, "name") for one in self.model.parameters}
         content["parameters"] = _without(named, "")
         return content
+
+
+# ---- base models of the gallery ------------------------------------------------------
+
+
+def draft_of(base: BaseModel, data: DataDraft | None) -> ModelDraft:
+    """A fresh draft; its inputs are those of the data, after `match_states`."""
+    inputs = [one.name for one in data.with_role(INPUT)] if data else []
+    draft = ModelDraft.of(*base.sections(inputs), base.name)
+    for one in draft.parameters:
+        one.is_assumed = one.is_known
+    return draft
+
+
+def match_states(data: DataDraft, base: BaseModel) -> BaseModel:
+    """Let columns be states of the model, inputs that it lacks, or unused.
+
+    Returns:
+        The model, in position and velocity if that was measured.
+    """
+    for column in data.columns:
+        if column.fits_no_state and column.role == NOT_USED:
+            column.role = STATE
+        column.fits_no_state = False
+    columns = data.with_role(STATE)
+    base = base.seen_by(columns)
+    data.unmeasured = base.units
+    for role, units in base.places:
+        own = data.with_role(role)
+        may_be = own + columns if role == INPUT else columns
+        for column, name in matched(may_be, units, own.__contains__):
+            column.table["name"] = name
+            data.unmeasured.pop(name, None)
+            if column in columns:
+                columns.remove(column)
+            if column.role != role:
+                column.becomes(role)
+    for column in columns:
+        column.role = NOT_USED
+        column.fits_no_state = True
+    return base
+
+
+def left_over(draft: StudyDraft) -> str:
+    """Which columns fit no state of the base model, in a sentence; "" where all do."""
+    base = GALLERY.get(draft.model.title)
+    columns = draft.data.columns if draft.data else []
+    base = base and base.seen_by(columns)
+    left = {one.title: one.unit for one in columns if one.fits_no_state}
+    if not left or base is None:
+        return ""
+    verb = "fits" if len(left) == 1 else "fit"
+    told, states = map(with_units, (left, base.units))
+    return (
+        f"{told} {verb} no state of {base.title} ({states}) by its unit and is not "
+        "used; you can change this in part 1."
+    )
 
 
 # ---- what is read of a draft ---------------------------------------------------------

@@ -32,14 +32,15 @@ from phsi_opt.page.drafts import (
     Seen,
     StudyDraft,
     checked,
+    draft_of,
     files_of,
     fitted_file,
     look_at,
+    match_states,
     refusal_of,
     sheet_of,
     suffix_of,
 )
-from phsi_opt.page.gallery import draft_of, match_states
 from phsi_opt.page.worker import Order, Returned, Shown, WorkerHandle, example
 from phsi_opt.presentation.content import Follows, StudyContent
 from phsi_opt.presentation.numbers import proper_names

@@ -12,8 +12,13 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.arguments import typed
+from phsi_opt.data.binary_tables import (
+    table_of_excel,
+    table_of_groups,
+    table_of_mat,
+    table_of_vectors,
+)
 from phsi_opt.data.copies import check_can_judge, copies_in
-from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import (
     READERS,
     DataFile,
@@ -21,8 +26,6 @@ from phsi_opt.data.file_opening import (
     opened_files,
     run_names,
 )
-from phsi_opt.data.logger_tables import table_of_groups
-from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.table_readers import columns_in
 from phsi_opt.data.tables import Table

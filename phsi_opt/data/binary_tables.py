@@ -1,21 +1,117 @@
-"""Columns of MATLAB files: vectors, columns or rows of matrices, fields of structs.
+"""Tables of binary files: Excel workbooks, loggers' MDF and TDMS files, MATLAB files.
 
-A column is called as in MATLAB: ``y``, ``X(:,2)``, ``X(2,:)``, ``log.y``,
-``log.X(:,2)``, ``log.Y(3).Data``; a field may go without its struct where one struct
-alone has it. Cells, texts and tables are not read, but are named where something is not
-found. `matlab_reader` reads the file.
+Each is read in a process of its own, by `excel_reader` (a sheet, cell by cell),
+`logger_reader` and `matlab_reader`.
+
+A logger's file has groups of channels; those of a group have common times, which are
+the first column. Channels of a group that are sampled otherwise are a group of their
+own. Groups are never put on common times: one of them is the table.
+
+A column of a MATLAB file is a vector, a column or row of a matrix, or a field of a
+struct, called as in MATLAB: ``y``, ``X(:,2)``, ``X(2,:)``, ``log.y``, ``log.X(:,2)``,
+``log.Y(3).Data``; a field may go without its struct where one struct alone has it.
+Cells, texts and tables are not read, but are named where something is not found.
 """
 
 from collections import ChainMap
 from collections.abc import Iterable
+from dataclasses import replace
+from importlib.util import find_spec
+from itertools import starmap
 from typing import Any
 
 import numpy as np
 
 from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.reading_apart import read_apart
-from phsi_opt.data.tables import Table, Variable, table_of_columns
+from phsi_opt.data.tables import Table, Variable, chosen_part, table_of_columns
+from phsi_opt.data.text_tables import TextFormat, table_of_rows
 from phsi_opt.errors import DataError, did_you_mean
+
+REPAIR_WORKBOOK = (
+    "Open it in a spreadsheet program and save it again as .xlsx or as CSV, without a "
+    "password."
+)
+
+
+def table_of_excel(
+    file: OpenedFile,
+    wanted: Iterable[Any],
+    sheet: str | None,
+    form: TextFormat,
+    may_be_several: bool = False,
+) -> Table:
+    """The cells of a sheet; empty rows, and empty columns behind the last, are skipped.
+
+    Without the name of a sheet it is the only one with content, or the first of several
+    where there may be several. The form is that of cells that hold text.
+
+    Raises:
+        DataError: this is no workbook, there is no such sheet, or it is empty.
+    """
+    read, _ = read_apart(file, "excel_reader", REPAIR_WORKBOOK)
+    sheets: dict[str, Any] = dict(read)
+    filled = [name for name, rows in sheets.items() if rows]
+    sheet = chosen_part(
+        sheet, list(sheets), filled, "sheet", file.title, may_be_several
+    )
+    title = f"{file.title}, sheet {sheet!r}"
+    rows = dict(sheets[sheet])
+    width = max(map(len, rows.values()))
+    for cells in rows.values():
+        cells += [""] * (width - len(cells))
+    table = table_of_rows(file, title, "row", rows, wanted, form, "")
+    return replace(table, sheets=tuple(sorted(filled, key=lambda one: one != sheet)))
+
+
+def table_of_groups(
+    file: OpenedFile,
+    wanted: Iterable[Any] | None,
+    library: str,
+    group: str | None,
+) -> Table:
+    """Channels of a group; its times are in s.
+
+    Args:
+        file: an MDF or a TDMS file.
+        wanted: the columns that are looked for; None: all, of the largest of several
+            groups.
+        library: that reads it, asammdf or nptdms.
+        group: the group; None: the only one.
+
+    Raises:
+        DataError: the file cannot be read, or the group is not clear.
+    """
+    if find_spec(library) is None:
+        raise DataError(
+            f'{file.title} needs {library}. Install it: pip install "phsi_opt[loggers]"'
+        )
+    found, arrays = read_apart(
+        file,
+        "logger_reader",
+        "Export its channels as CSV.",
+        library=library,
+        asked=None if wanted is None else list(wanted),
+        part=group,
+        may_be_several=wanted is None,
+    )
+    lengths = set(map(len, arrays))
+    if len(lengths) > 1:
+        raise DataError(
+            f"{file.title} is damaged: the channels of a group have {sorted(lengths)} "
+            "samples. Export them as CSV."
+        )
+    return table_of_columns(
+        file,
+        found["names"],
+        arrays,
+        sheets=tuple(found["parts"]),
+        units=dict(zip(found["names"], found["units"], strict=True)),
+        further=tuple(starmap(Variable, found["further"])),
+    )
+
+
+# ---- MATLAB --------------------------------------------------------------------------
 
 Vectors = dict[Variable, dict[str, np.ndarray]]  # those of each variable, by name
 MOST_LISTED = 50  # variables in a message
