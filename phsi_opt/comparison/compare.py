@@ -39,6 +39,7 @@ from phsi_opt.model.symbolic import Expressions, function_of
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import white_system
 from phsi_opt.optimization.column_function import in_numbers
+from phsi_opt.presentation.content import Channel
 from phsi_opt.presentation.numbers import with_interval
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, Scale, scale_of, spaced
@@ -57,8 +58,6 @@ from phsi_opt.transcription.sensors import output_slopes, output_slopes_in_theta
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-
-    from phsi_opt.presentation.pictures import Channel
 
 
 # Standard deviations of the noise beyond which one residual ends the horizon of a free
@@ -324,27 +323,34 @@ class Comparison(Summarised):
             f"noise floor {self.noise_floor:.3g} (all runs)"
         )
         time = scale_of(self.data.units.get("t", ""))
-        return plot_free_run(
-            time.shown(run.t),
-            self._channels(number),
-            t_unit=time.unit,
-            title=title,
-            ax=ax,
-        )
+        stds: list[np.ndarray | None] = []
+        channels = self.channels(number)
+        for one in channels:
+            scale = scale_of(self.data.units.get(one.name, ""))
+            place = self.model.states.index(one.name)
+            known = self.bands and self.bands[number][:, place] / scale.size
+            stds.append(known)
+        return plot_free_run(time.shown(run.t), channels, stds, time.unit, title, ax)
 
-    def _channels(self, number: int) -> "list[Channel]":
-        from phsi_opt.presentation.pictures import Channel
-
-        x = self.data.trajectories[number].x
-        shown = self.shown[number]
-        std = None if self.bands is None else self.bands[number]
+    def channels(self, number: int) -> list[Channel]:
+        """Every measured channel along the trajectory of a number, in its unit."""
+        run = self.data.trajectories[number]
         channels = []
         for name, noise in self.noise.items():
             k = self.model.states.index(name)
             scale = scale_of(self.data.units.get(name, ""))
-            std_of_state = None if std is None else std[:, k] / scale.size
-            both = scale.shown(x[:, k]), scale.shown(shown[:, k])
-            channel = Channel(name, scale.unit, *both, std_of_state, noise / scale.size)
+            measured, shown = map(scale.shown, (run.x[:, k], self.shown[number][:, k]))
+            moved, off = map(_known, (measured, measured - shown))
+            channel = Channel(
+                name,
+                scale.unit,
+                noise / scale.size,
+                run.t,
+                measured,
+                (shown,),
+                (rms(off) if len(off) else None,),
+                float(np.std(moved)) if len(moved) else 0.0,
+            )
             channels.append(channel)
         return channels
 

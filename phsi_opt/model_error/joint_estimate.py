@@ -54,8 +54,8 @@ SLOW = 0.3
 BESIDE_KINK = 0.5
 # Parts of a step that are tried, each half of the one before; fewer of one with
 # curvature, which may lead uphill.
-MOST_TRIED = 8
-MOST_TRIED_CURVED = 3
+MOST_HALVINGS = 8
+MOST_HALVINGS_CURVED = 3
 # Share of a violation that a step lessens, or that the objective falls by (Fletcher and
 # Leyffer).
 LEAST_FALL = 1e-5
@@ -317,7 +317,7 @@ class JointProblem:
             there = None
             if is_curved:
                 aim = place.curved().aim(0.0)
-                there = self._lower(place, aim, passed, MOST_TRIED_CURVED)
+                there = self._lower(place, aim, passed, MOST_HALVINGS_CURVED)
             is_whole = there is not None or damping == 0
             if there is None:
                 aim = place.aim(damping)
@@ -359,7 +359,7 @@ class JointProblem:
         place: "_Place",
         aim: "_Aim",
         passed: Sequence[tuple[float, float]],
-        most_tried: int = MOST_TRIED,
+        most_tried: int = MOST_HALVINGS,
     ) -> "_Place | None":
         """The first lower place on the way to the aim, which is halved; or None."""
         for n_halvings in range(most_tried):

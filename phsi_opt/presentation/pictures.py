@@ -7,7 +7,6 @@ Pictures of a missing force stand in `force_analysis`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from textwrap import fill
 from typing import Any
 
@@ -30,43 +29,36 @@ from phsi_opt.presentation.charts import (
     draw,
     drawn,
 )
+from phsi_opt.presentation.content import Channel
 from phsi_opt.presentation.numbers import label
 
 BAND = "run, two standard deviations"
 
 
-@dataclass(frozen=True, eq=False)
-class Channel:
-    """What is drawn of one state along one trajectory, (n_samples,) values each."""
-
-    name: str
-    unit: str
-    measured: np.ndarray  # NaN where missing
-    simulated: np.ndarray  # what the sensor would show of the free run
-    std: np.ndarray | None  # standard deviation of ``simulated``; None: not known
-    noise: float | None = None  # of the sensor (std.); None: no residuals are drawn
-
-
 def plot_free_run(
     t: np.ndarray,
     channels: Sequence[Channel],
-    *,
+    stds: Sequence[np.ndarray | None],
     t_unit: str,
     title: str,
     ax: Axes | None = None,
 ) -> Axes:
-    """Measurements and free run of one trajectory, (n_samples,) times ``t``."""
+    """Measurements and free run of one trajectory, (n_samples,) times ``t``.
+
+    With the standard deviation of each free run, (n_samples,); None: not known.
+    """
     curves: list[Curve] = []
     residuals: list[Curve] = []
     is_alone = len(channels) == 1
     for n, one in enumerate(channels):
         color, dots = (MODEL, MEASURED) if n == 0 else (f"C{n}", f"C{n + 3}")
-        std = None if one.std is None else 2 * one.std
-        run = Curve(f"{one.name} free run", t, one.simulated, color, std=std, band=BAND)
+        std = None if (known := stds[n]) is None else 2 * known
+        shown = one.models[0]
+        run = Curve(f"{one.name} free run", t, shown, color, std=std, band=BAND)
         curves += [Curve(f"{one.name} measured", t, one.measured, dots, POINTS), run]
         # One channel in its unit, several in standard deviations of their noise.
         scale = 1.0 if is_alone else one.noise or 1.0
-        residuals.append(Curve("", t, (one.measured - one.simulated) / scale, color))
+        residuals.append(Curve("", t, (one.measured - shown) / scale, color))
     names = ", ".join(channel.name for channel in channels)
     units = {channel.unit for channel in channels}
     unit = units.pop() if len(units) == 1 else ""

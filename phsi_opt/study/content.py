@@ -2,6 +2,7 @@
 
 import platform
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from typing import Any
@@ -26,7 +27,6 @@ from phsi_opt.presentation.content import (
     LOOK,
     TRAINING,
     Answer,
-    Channel,
     Check,
     Diagnosed,
     Equations,
@@ -53,7 +53,6 @@ from phsi_opt.presentation.numbers import (
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import Scale, scale_of, scale_of_time
 from phsi_opt.screening.effect_size import NOT_DETERMINED, names_beside_size
-from phsi_opt.statistics import rms
 from phsi_opt.study.answers import (
     evidence_words,
     headline_of,
@@ -227,26 +226,19 @@ def _most_changed(runs: tuple[Run, ...]) -> tuple[int, int]:
 def _run(
     part: str, comparisons: list[Comparison], place: int, most: int, time: Scale
 ) -> Run:
-    data = comparisons[0].data
-    run = data.trajectories[place]
+    run = comparisons[0].data.trajectories[place]
     channels = []
-    for name, noise in comparisons[-1].noise.items():
-        # A state with a memory comes behind those of the base model.
-        k = data.states.index(name)
-        scale = scale_of(data.units.get(name, ""))
-        measured = scale.shown(run.x[:, k])
-        shown = [scale.shown(one.shown[place][:, k]) for one in comparisons]
-        kept = thinned([measured, *shown], most)
-        residuals = [pd.Series(measured - one).dropna() for one in shown]
-        channel = Channel(
-            name,
-            scale.unit,
-            noise / scale.size,
-            run.t[kept] / time.size,
-            measured[kept],
-            tuple(one[kept] for one in shown),
-            tuple(rms(one.to_numpy()) if len(one) else None for one in residuals),
-            float(np.nan_to_num(pd.Series(measured).std(ddof=0))),
+    of_each = [one.channels(place) for one in comparisons]
+    for alike in zip(*of_each, strict=True):
+        last = alike[-1]
+        shown = [one.models[0] for one in alike]
+        kept = thinned([last.measured, *shown], most)
+        channel = replace(
+            last,
+            t=last.t[kept] / time.size,
+            measured=last.measured[kept],
+            models=tuple(one[kept] for one in shown),
+            errors=tuple(one.errors[0] for one in alike),
         )
         channels.append(channel)
     return Run(run.name, part, tuple(channels), run.origin)
