@@ -23,24 +23,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError, some_of
-from phsi_opt.page import worker
-from phsi_opt.page.drafts import (
-    MOST_FILES,
-    STUDY_KIND,
-    DataDraft,
-    Drafted,
-    Seen,
-    StudyDraft,
-    checked,
-    draft_of,
-    files_of,
-    fitted_file,
-    look_at,
-    match_states,
-    refusal_of,
-    sheet_of,
-    suffix_of,
-)
+from phsi_opt.page import drafts, worker
 from phsi_opt.page.worker import Order, Returned, Shown, WorkerHandle, example
 from phsi_opt.presentation.content import Follows, StudyContent
 from phsi_opt.presentation.numbers import proper_names
@@ -86,7 +69,7 @@ class Model:
 
     content: StudyContent  # of the study whose present model it is
     study: Path  # what the worker sent of it, to go on from; memory has no room for all
-    drafted: Drafted  # what was fitted
+    drafted: drafts.Drafted  # what was fitted
     laws: tuple[Follows, ...] = ()  # of the effects added, once they are known
 
     @property
@@ -100,7 +83,7 @@ class Model:
 class Moment:
     """What was filled in and shown, to which undo and redo go."""
 
-    draft: StudyDraft
+    draft: drafts.StudyDraft
     model: int | None  # its number; None before there was one
 
 
@@ -144,7 +127,7 @@ class Session:
         for part in (self._state, self._uploads):
             part.mkdir(parents=True)
         self._n_uploads = 0
-        self.draft = StudyDraft()  # what the user filled in
+        self.draft = drafts.StudyDraft()  # what the user filled in
         self.upload_error = ""  # why the last file was refused
         self.job: Job | None = None  # the work that goes on
         # What was handed out last, or how the last job ended where not well.
@@ -165,7 +148,7 @@ class Session:
         self._reader: WorkerHandle | None = None  # that reads files
         self._calling = threading.Lock()
         self._idle_since = time.monotonic()
-        self._fitting: Drafted | None = None
+        self._fitting: drafts.Drafted | None = None
         self._waiting = ""  # the name of a study file whose tables are not there yet
         self._checking = threading.RLock()
         self._taking = threading.Lock()
@@ -173,8 +156,8 @@ class Session:
         if study_file is not None:
             self._open(study_file)
         self.complaints: tuple[Complaint, ...] = (NO_TABLE,)
-        self.seen_data = Seen(Drafted("", {}))
-        self._checked = Drafted("", {})  # the draft of which these are
+        self.seen_data = drafts.Seen(drafts.Drafted("", {}))
+        self._checked = drafts.Drafted("", {})  # the draft of which these are
         self._check()
         self._begun = self.draft.as_it_is()
         self._moments = [Moment(deepcopy(self.draft), None)]
@@ -184,7 +167,7 @@ class Session:
 
     def _open(self, path: Path, places: dict[str, Path] | None = None) -> None:
         """Begin with a study file; its tables lie beside it unless told otherwise."""
-        self.draft = self._call(places, StudyDraft.read, path, places)
+        self.draft = self._call(places, drafts.StudyDraft.read, path, places)
 
     def open_example(self, name: str) -> None:
         """Begin with a study that comes with the package, and fit it."""
@@ -203,7 +186,7 @@ class Session:
         with self._looking_again():
             if refusal := self._refusal(name, content):
                 raise DataError(refusal)
-            if suffix_of(name) == STUDY_KIND:
+            if drafts.suffix_of(name) == drafts.STUDY_KIND:
                 write_whole(self._state / OPENED_FILE, content)
                 self._waiting = name
             else:
@@ -219,7 +202,7 @@ class Session:
         known = self.draft.places
         name, self._waiting = self._waiting, ""
         try:
-            named = self._call({}, files_of, path)
+            named = self._call({}, drafts.files_of, path)
             lacking = [one for one in named if PurePath(one).name not in known]
             if lacking:
                 self.message = f"{name} reads {some_of(lacking)}: upload this as well."
@@ -235,15 +218,15 @@ class Session:
         """Why a file is not even looked at; "" where it is."""
         if self.is_closed:
             return HAS_ENDED
-        if (n_known := len(self.draft.places)) >= MOST_FILES:
-            return f"there are {n_known} files already, at most {MOST_FILES}."
-        return refusal_of(name, len(content))
+        if (n_known := len(self.draft.places)) >= drafts.MOST_FILES:
+            return f"there are {n_known} files already, at most {drafts.MOST_FILES}."
+        return drafts.refusal_of(name, len(content))
 
     def _take(self, name: str, content: bytes) -> None:
         """Store a table under a name of the page's own, and look at all files."""
         # Columns that are known keep what was said of them.
         self._n_uploads += 1
-        place = self._uploads / f"table_{self._n_uploads}{suffix_of(name)}"
+        place = self._uploads / f"table_{self._n_uploads}{drafts.suffix_of(name)}"
         place.write_bytes(content)
         try:
             self._take_file(name, place)
@@ -271,10 +254,12 @@ class Session:
             if known is not None:
                 self.message = f"{name} {why}: it replaces {', '.join(known.places)}."
 
-    def _look_at(self, places: dict[str, Path], known: DataDraft | None) -> DataDraft:
+    def _look_at(
+        self, places: dict[str, Path], known: drafts.DataDraft | None
+    ) -> drafts.DataDraft:
         """The columns of files, of the sheet or group that is chosen."""
-        sheet = sheet_of(known.settings) if known else None
-        return self._call(places, look_at, places, sheet)
+        sheet = drafts.sheet_of(known.settings) if known else None
+        return self._call(places, drafts.look_at, places, sheet)
 
     def remove_file(self, name: str) -> None:
         """Take a table away; with the last one its columns go."""
@@ -289,16 +274,16 @@ class Session:
         """Take the table of another sheet of a workbook, or group of channels."""
         with self._looking_again() as data:
             if data.places:
-                found = self._call(data.places, look_at, data.places, name)
+                found = self._call(data.places, drafts.look_at, data.places, name)
                 self.draft.data = replace(found, parts=data.parts)
 
     @contextmanager
-    def _looking_again(self) -> Iterator[DataDraft]:
+    def _looking_again(self) -> Iterator[drafts.DataDraft]:
         """The data, to be read in another way; why that cannot be is told."""
         with self._taking:  # a browser sends several at once
             self.upload_error = self.message = ""
             try:
-                yield self.draft.data or DataDraft({})
+                yield self.draft.data or drafts.DataDraft({})
             except DataError as error:  # a file has changed, or is gone
                 self.upload_error = str(error)
             self.check()
@@ -308,8 +293,8 @@ class Session:
         """Begin with an entry of the gallery; columns become its states."""
         self.message = ""
         if self.draft.data is not None:
-            base = match_states(self.draft.data, base)
-        self.draft.model = draft_of(base, self.draft.data)
+            base = drafts.match_states(self.draft.data, base)
+        self.draft.model = drafts.draft_of(base, self.draft.data)
         self.draft.kept.get("study", {}).pop("added", None)
         self.check()
         self.shape += 1
@@ -329,14 +314,14 @@ class Session:
             return
         data = self.draft.data_as_it_is
         new = None if data == self.seen_data.drafted else data
-        found: Any = (NO_TABLE,), new and Seen(new)
+        found: Any = (NO_TABLE,), new and drafts.Seen(new)
         if now.places:
             path = write_whole(self._state / WORKING_FILE, now.text)
             try:
-                found = self._call(now.places, checked, path, now.places, new)
+                found = self._call(now.places, drafts.checked, path, now.places, new)
             except DataError as error:  # it took too long; the next check tries again
                 found = (Complaint("", "", str(error)),), None
-                now = Drafted("", {})
+                now = drafts.Drafted("", {})
         self.complaints, seen = found
         self.seen_data = seen or self.seen_data
         self._checked = now
@@ -578,7 +563,7 @@ class Session:
             if isinstance(error, StudyFileError):
                 self.message = self.failure = "The draft cannot be used yet."
                 self.complaints = error.complaints
-            self._checked = Drafted("", {})
+            self._checked = drafts.Drafted("", {})
         elif isinstance(result.value, Path):
             self.report_path = result.value
         elif self.model is not None and self.now is not None:
@@ -625,7 +610,7 @@ class Session:
         path = write_whole(self._state / FITTED_FILE, drafted.text)
         content = self.model.content
         given = (path, drafted.places, content.added, content.hold)
-        made: StudyFile = self._call(drafted.places, fitted_file, *given)
+        made: StudyFile = self._call(drafted.places, drafts.fitted_file, *given)
         return made
 
     def close(self) -> None:
