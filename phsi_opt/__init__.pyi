@@ -19,9 +19,9 @@ from phsi_opt.errors import ModelError as ModelError
 from phsi_opt.errors import PhsiOptError as PhsiOptError
 from phsi_opt.errors import SolveError as SolveError
 from phsi_opt.errors import StudyFileError as StudyFileError
+from phsi_opt.estimation.estimate import Pruning as Pruning
 from phsi_opt.estimation.fit import Fit as Fit
 from phsi_opt.estimation.identify import identify as identify
-from phsi_opt.estimation.pruning import Pruning as Pruning
 from phsi_opt.model.catalogue import catalogue as catalogue
 from phsi_opt.model.effect import Effect as Effect
 from phsi_opt.model.mechanics import mechanical as mechanical

@@ -12,13 +12,13 @@ import pytest
 import torch
 
 import phsi_opt as ph
+from phsi_opt.baselines.descent import Baseline
 from phsi_opt.baselines.gradient_descent import (
     Descent,
     DescentRun,
     gradient_descent,
     starting_values,
 )
-from phsi_opt.baselines.result import Baseline
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.transcription.defects import defects

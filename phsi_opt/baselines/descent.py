@@ -1,6 +1,6 @@
-"""Settings of a descent, and the descent in shuffled batches (thesis Algorithm 6).
+"""Settings of a descent in shuffled batches (thesis Algorithm 6), and its result.
 
-It knows a loss of the tables of a batch, and nothing of models. The settings are made
+The descent knows a loss of the tables of a batch, not of models. Settings are made
 without torch, which is imported for the first step.
 """
 
@@ -10,6 +10,7 @@ from math import cos, pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from phsi_opt.arguments import (
     is_size,
@@ -20,13 +21,13 @@ from phsi_opt.arguments import (
     require_size,
 )
 from phsi_opt.errors import SolveError
+from phsi_opt.estimation.identified import Identified
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.sweeps.sweep import Progress
 from phsi_opt.transcription.integrators import integrator
 from phsi_opt.transcription.losses import l1_weights
 
 if TYPE_CHECKING:
-    import pandas as pd
     from torch import Generator, Tensor
     from torch.optim import Optimizer
 
@@ -114,6 +115,35 @@ class Descent:
         return self.learning_rate * (1 + cos(pi * ((epoch - 1) / self.epochs))) / 2
 
 
+# ---- its result ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Baseline(Identified):
+    """A model found by another method, with everything that `Identified` can do.
+
+    Attributes:
+        method: name of the method, such as "gradient descent".
+        loss_value: the method's own loss over all its data at the result, without its
+            penalties; NaN if it has none.
+        history: a row per epoch with at least epoch, loss and n_terms; empty for a
+            method without epochs.
+        settings: the settings that were used, as text.
+    """
+
+    method: str
+    loss_value: float = float("nan")
+    history: pd.DataFrame = field(default_factory=pd.DataFrame)
+    settings: str = ""
+
+    def __str__(self) -> str:
+        head = f"{self.method}: loss {self.loss_value:.6g}, {self.seconds:.3g} s"
+        lines = [head, *self.equations()]
+        if self.removed:
+            lines.append(f"removed: {', '.join(self.removed)}")
+        return "\n".join(lines)
+
+
 # ---- the descent -------------------------------------------------------------------
 
 
@@ -126,7 +156,7 @@ def descend(
     *,
     after_epoch: Callable[[int], int] | None = None,
     progress: Progress | None = None,
-) -> "pd.DataFrame":
+) -> pd.DataFrame:
     """Descend in shuffled batches (thesis Algorithm 6).
 
     Args:

@@ -15,12 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Descent, descend
-from phsi_opt.baselines.result import Baseline
+from phsi_opt.baselines.descent import Baseline, Descent, descend
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
-from phsi_opt.estimation.pruning import Pruning
+from phsi_opt.estimation.estimate import Pruning
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter

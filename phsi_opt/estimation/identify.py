@@ -13,13 +13,12 @@ from functools import partial
 from phsi_opt.arguments import typed
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
-from phsi_opt.estimation.estimate import Estimate, Loss, Task
+from phsi_opt.estimation.estimate import Estimate, Loss, Pruning, Task
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import with_model_error
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.maximum_likelihood import by_likelihood
 from phsi_opt.estimation.phsi_solve import by_defects
-from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.estimation.record import doubts_of
 from phsi_opt.initialization.relative_guesses import check_rates, guessed_corners
 from phsi_opt.interrupts import interruptible

@@ -29,11 +29,11 @@ import pandas as pd
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import LEAST_SIZE
+from phsi_opt.estimation.estimate import Pruning
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_file import decoded, encoded, read_json
 from phsi_opt.estimation.identified import Identified
 from phsi_opt.estimation.identify import identify_forced
-from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.force_analysis.cross_validation import N_FOLDS
 from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.interrupts import interruptible

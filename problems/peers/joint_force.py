@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.baselines.result import Baseline
+from phsi_opt.baselines.descent import Baseline
 from phsi_opt.simulation.simulate import simulate_forced
 
 # (weight (n_in, n_out), bias (n_out,)) of every layer

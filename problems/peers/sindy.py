@@ -21,7 +21,7 @@ import pysindy as ps
 from sklearn.exceptions import ConvergenceWarning
 
 from phsi_opt.arguments import require_choice, require_positive, require_size
-from phsi_opt.baselines.result import Baseline
+from phsi_opt.baselines.descent import Baseline
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError

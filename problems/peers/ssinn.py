@@ -16,8 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import descend
-from phsi_opt.baselines.result import Baseline
+from phsi_opt.baselines.descent import Baseline, descend
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.interrupts import interruptible

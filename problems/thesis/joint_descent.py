@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from phsi_opt.baselines.descent import Baseline
 from phsi_opt.baselines.gradient_descent import Descent, DescentRun
-from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.uncertainty import of_defects
 from phsi_opt.initialization.scaling import first_point
