@@ -50,6 +50,12 @@ SHOWN: list[tuple[StudyContent, bool, Any]] = []
 CONSIDERED = ("coulomb friction", "quadratic drag", "cubic stiffness")
 
 
+def pid_of(session: Session) -> int:
+    """The number of the process that solves."""
+    assert session._worker is not None
+    return session._worker.process.pid or 0
+
+
 def is_running(pid: int) -> bool:
     try:
         os.kill(pid, 0)
@@ -589,7 +595,7 @@ def test_what_was_found_is_kept_when_a_solve_is_cancelled_or_its_worker_lost(
     assert counted_as_made[0], "a model counts as made before it is seen"
     assert session.job is not None
     assert session._worker is not None
-    pid = session._worker.process.pid
+    pid = pid_of(session)
     session.cancel()
     assert not is_running(pid)
     assert session.job is None
@@ -598,7 +604,7 @@ def test_what_was_found_is_kept_when_a_solve_is_cancelled_or_its_worker_lost(
     fitted = session.content
     session.diagnose()
     assert session._worker is not None
-    os.kill(session._worker.process.pid, signal.SIGKILL)
+    os.kill(pid_of(session), signal.SIGKILL)
     wait_for(lambda: session.job is None)
     assert "ended unexpectedly (Diagnosing)" in session.message
     assert session.content is fitted and not session.is_stale
@@ -615,7 +621,7 @@ def test_a_session_that_ends_leaves_no_memory_process_or_file(
     session = filled(tmp_path / "own")
     session.show_up()
     assert session._worker is not None
-    pid = session._worker.process.pid
+    pid = pid_of(session)
     known = weakref.ref(session)
     session.close()
     del session
@@ -644,7 +650,7 @@ def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
     other.fit()
     wait_for(lambda: waits_for(other, 2))
     assert session._worker is not None
-    os.kill(session._worker.process.pid, signal.SIGKILL)
+    os.kill(pid_of(session), signal.SIGKILL)
     wait_for(lambda: session.job is None)
     assert "(Fitting the base model)" in session.message
     wait_for(lambda: waits_for(other, 1))
@@ -658,7 +664,7 @@ def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
     last.fit()
     session.cancel()
     wait_for(lambda: bool(last.job and last.job.line not in ("", waits(1))))
-    os.kill(session._worker.process.pid, signal.SIGSTOP)  # it takes no study yet
+    os.kill(pid_of(session), signal.SIGSTOP)  # it takes no study yet
     session.diagnose()
     wait_for(lambda: waits_for(session, 1))
     for one in (other, last):

@@ -328,8 +328,8 @@ class Comparison(Summarised):
         for one in channels:
             scale = scale_of(self.data.units.get(one.name, ""))
             place = self.model.states.index(one.name)
-            known = self.bands and self.bands[number][:, place] / scale.size
-            stds.append(known)
+            bands = self.bands
+            stds.append(bands[number][:, place] / scale.size if bands else None)
         return plot_free_run(time.shown(run.t), channels, stds, time.unit, title, ax)
 
     def channels(self, number: int) -> list[Channel]:
