@@ -323,14 +323,14 @@ class Comparison(Summarised):
             f"noise floor {self.noise_floor:.3g} (all runs)"
         )
         time = scale_of(self.data.units.get("t", ""))
-        stds: list[np.ndarray | None] = []
+        band = None
+        if self.bands is not None:
+            is_shown = np.isin(self.model.states, list(self.noise))
+            units = map(self.data.units.__getitem__, self.noise)
+            sizes = [scale.size for scale in map(scale_of, units)]
+            band = self.bands[number][:, is_shown] / sizes
         channels = self.channels(number)
-        for one in channels:
-            scale = scale_of(self.data.units.get(one.name, ""))
-            place = self.model.states.index(one.name)
-            bands = self.bands
-            stds.append(bands[number][:, place] / scale.size if bands else None)
-        return plot_free_run(time.shown(run.t), channels, stds, time.unit, title, ax)
+        return plot_free_run(time.shown(run.t), channels, band, time.unit, title, ax)
 
     def channels(self, number: int) -> list[Channel]:
         """Every measured channel along the trajectory of a number, in its unit."""

@@ -133,7 +133,6 @@ class Section:
 
     @property
     def is_table(self) -> bool:
-        """Whether it may be a table of samples."""
         if len(self.values) > 1:
             return not self.is_list
         is_wide = any(row.width > 1 for row in self.values)

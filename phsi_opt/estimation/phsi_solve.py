@@ -52,7 +52,6 @@ class PHSIEstimate(Estimate):
 
     @property
     def misfit(self) -> float:
-        """Mean of the squared defects."""
         scaled = float(np.sum(self.solution.residual**2) / 2)
         return scaled * mean_square_rate(self._used)
 

@@ -101,7 +101,6 @@ class EquationForce(Force):
 
     @cached_property
     def region(self) -> Region:
-        """Where among the states."""
         return self.region_among(self.record.model.states)
 
     def region_among(self, names: Iterable[str]) -> Region:
@@ -165,7 +164,6 @@ class EquationForce(Force):
         return bool(best["variable"] == CONSTANT and best["share"] > MOST_OF_IT)
 
     def share_of(self, variable: str) -> float:
-        """Share of the force that a variable predicts."""
         return float(self.follows.set_index("variable")["share"][variable])
 
     @property

@@ -38,7 +38,6 @@ class Site:
     effects: csc_matrix  # sparse, (n_values + n_intervals * n_states, n), on the data
 
     def whitener(self, time: float) -> Whitener:
-        """Of a process with this correlation time."""
         return Whitener.of(self.t, self.trajectory, time)
 
 

@@ -204,7 +204,6 @@ class Passage:
 
     @property
     def log_abs_det(self) -> float:
-        """Of the slopes inside."""
         return self._factors.log_abs_det if self._factors else 0.0
 
     def followed(self, right: np.ndarray, is_transposed: bool = False) -> np.ndarray:

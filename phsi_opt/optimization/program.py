@@ -167,7 +167,6 @@ class Program:
 
     @property
     def objective(self) -> ca.MX:
-        """Of z and the settings."""
         return ca.sumsqr(self.residual) / 2 + self.cost
 
     def jacobian(self) -> ca.Function:

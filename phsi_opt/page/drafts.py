@@ -151,7 +151,6 @@ class ColumnDraft:
         self.table |= without(self.seen.get(role, {}), "")  # the default stands for ""
 
     def content(self) -> Content:
-        """What a study file says of it."""
         return {"column": self.column, **_without(without(self.table, ""), "name")}
 
 
@@ -164,7 +163,6 @@ class PartDraft:
 
     @classmethod
     def of(cls, section: str, told: Mapping[str, Any]) -> "PartDraft":
-        """That of a section of a study file, which may be empty."""
         found = [way for way, key in KEYS_OF_WAYS.items() if key in told]
         if told.get("runs") == []:
             found = [NOTHING]

@@ -393,7 +393,6 @@ class StudyContent:
         return max(filter(None, chain(*alike)), default=0.0)
 
     def forces_along(self, run: Run) -> list[ForceRun]:
-        """The missing force of each equation along a run."""
         place = (run.name, run.part)
         return [one for one in self.forces if (one.run, one.part) == place]
 

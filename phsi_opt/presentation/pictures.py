@@ -38,21 +38,21 @@ BAND = "run, two standard deviations"
 def plot_free_run(
     t: np.ndarray,
     channels: Sequence[Channel],
-    stds: Sequence[np.ndarray | None],
+    band: np.ndarray | None,
     t_unit: str,
     title: str,
     ax: Axes | None = None,
 ) -> Axes:
     """Measurements and free run of one trajectory, (n_samples,) times ``t``.
 
-    With the standard deviation of each free run, (n_samples,); None: not known.
+    The band is the standard deviation of each free run, (n_samples, n_channels).
     """
     curves: list[Curve] = []
     residuals: list[Curve] = []
     is_alone = len(channels) == 1
     for n, one in enumerate(channels):
         color, dots = (MODEL, MEASURED) if n == 0 else (f"C{n}", f"C{n + 3}")
-        std = None if (known := stds[n]) is None else 2 * known
+        std = None if band is None else 2 * band[:, n]
         shown = one.models[0]
         run = Curve(f"{one.name} free run", t, shown, color, std=std, band=BAND)
         curves += [Curve(f"{one.name} measured", t, one.measured, dots, POINTS), run]

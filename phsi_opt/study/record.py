@@ -121,12 +121,10 @@ class StudyRecord:
 
     @property
     def held_out(self) -> Measurements | None:
-        """The measurements that judge; None where none are held out."""
         return None if self.judging is None else self.judging.data
 
     @property
     def final(self) -> Measurements | None:
-        """The measurements for the end; None where there are none."""
         return None if self.ending is None else self.ending.data
 
     @cached_property
@@ -216,7 +214,6 @@ class StudyRecord:
 
     @property
     def unit(self) -> str:
-        """Unit of the errors, that of the channel where one is measured."""
         return self.last.train.error_unit
 
     @property
@@ -330,7 +327,6 @@ class StudyRecord:
         return model.with_values(known)
 
     def size(self, effect: Effect) -> Size:
-        """The size that an effect which was added has in the present fit."""
         others = [other for other in self.last.added if other is not effect]
         return fitted_size(self.model_with(others), self.last.fit, effect)
 

@@ -145,7 +145,6 @@ class Column(Header):
 
     @property
     def only_number(self) -> float | None:
-        """The only number of the column, where it is above zero."""
         numbers = pd.to_numeric(self.cells, errors="coerce").dropna().unique()
         is_one = len(numbers) == 1 and 0 < numbers[0] < np.inf
         return float(numbers[0]) if is_one else None

@@ -63,7 +63,6 @@ class BaseModel:
 
     @property
     def names(self) -> str:
-        """Its states and inputs with their units, in words."""
         states, inputs = map(with_units, (self.units, self.input_units))
         return f"states {states}; inputs {inputs}"
 

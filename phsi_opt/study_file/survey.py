@@ -119,7 +119,6 @@ class TableSurvey:
 
     @property
     def n_lines(self) -> int:
-        """The lines below the header."""
         return len(self.table.frame)
 
     @cached_property
