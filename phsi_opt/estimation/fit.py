@@ -511,9 +511,14 @@ class Fit(Identified, Summarised):
         """
         return read_json(path, FORMAT, "a fit", cls.from_content)
 
-    def content(self) -> Content:
-        """The fit as numbers, text, lists and mappings: what `save` writes."""
-        return {"format": FORMAT, **encoded(replace(self, states=()))}
+    def content(self, states: bool = False) -> Content:
+        """The fit as numbers, text, lists and mappings: what `save` writes.
+
+        Args:
+            states: Whether the estimated states are in it.
+        """
+        kept = self if states else replace(self, states=())
+        return {"format": FORMAT, **encoded(kept)}
 
     @classmethod
     def from_content(cls, content: Content) -> "Fit":

@@ -17,8 +17,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self, get_type_hints
 
-import numpy as np
-
 from phsi_opt.comparison.compare import compare_record
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
@@ -64,7 +62,7 @@ class KeptFits:
     def with_effects(self, added: Sequence[object] = ()) -> Fit | None:
         """The fit of the base model with effects; None: it is to be fitted."""
         with suppress(PhsiOptError, *DAMAGE):
-            return _fit_from(self._entries[_name(added, self.hold)])
+            return Fit.from_content(self._entries[_name(added, self.hold)])
         return None
 
     def diagnosis(
@@ -86,12 +84,12 @@ class KeptFits:
         found: dict[str, Callable[[], Content]] = {}
         for step in study.steps:
             name = _name(step.added, step.fit.hold)
-            found.setdefault(name, partial(_fit_content, step.fit))
+            found.setdefault(name, partial(step.fit.content, True))
         for number, one in record.diagnoses.items():
             added = record.steps[number].added
             if one.proposed_fit is not None:
                 name = _name((*added, *one.proposed), one.proposed_fit.hold)
-                found.setdefault(name, partial(_fit_content, one.proposed_fit))
+                found.setdefault(name, partial(one.proposed_fit.content, True))
             question = _question(record, added, study.considered[number])
             found[question] = partial(_diagnosis_content, one)
         if found.keys() <= self._entries.keys():
@@ -134,15 +132,6 @@ def _question(
 PLAIN = ("verdict", "reason", "findings", "proposed")
 
 
-def _fit_content(fit: Fit) -> Content:
-    return {"fit": fit.content(), "states": encoded(fit.states)}
-
-
-def _fit_from(content: Content) -> Fit:
-    states = tuple(map(np.array, content["states"]))
-    return replace(Fit.from_content(content["fit"]), states=states)
-
-
 def _diagnosis_content(found: Diagnosis) -> Content:
     """Without free runs; only the first candidate keeps its re-fit."""
     first = found.ranking[0].fit if found.ranking else None
@@ -151,7 +140,7 @@ def _diagnosis_content(found: Diagnosis) -> Content:
     aligned = found.record.aligned
     content: Content = {"hold": encoded(aligned.data.hold), "notes": aligned.notes}
     fits = (found.fit, found.proposed_fit, first)
-    content["fits"] = [one and _fit_content(one) for one in fits]
+    content["fits"] = [one and one.content(states=True) for one in fits]
     plain = partial(replace, states=None, fit=None, trained=None, comparison=None)
     content["ranking"] = encoded(list(map(plain, found.ranking)))
     for name in PLAIN:
@@ -161,7 +150,7 @@ def _diagnosis_content(found: Diagnosis) -> Content:
 
 def _diagnosis_from(content: Content, study: StudyRecord) -> Diagnosis:
     """The diagnosis of the last step of a study, with free runs made again."""
-    own, proposed, first = (one and _fit_from(one) for one in content["fits"])
+    own, proposed, first = (one and Fit.from_content(one) for one in content["fits"])
     step = study.last
     held = study.held_as(content["hold"], tuple(content["notes"]))
     if own.values != step.fit.values or held.train.hold != study.train.hold:
