@@ -130,12 +130,11 @@ class Search:
         others = [effect for effect in self.effects if str(effect) not in one.key]
         screened = screened_beside(LinearizedRecord.beside_force(record), others)
         gaining = [further for further in screened if further.gain > 0][:MOST_FURTHER]
-        new = [one.key | {str(further.effect)} for further in gaining]
-        cases = {
-            str(further.effect): further
-            for further, key in zip(gaining, new, strict=True)
-            if key not in self.known
-        }
+        cases = {}
+        for further in gaining:
+            name = str(further.effect)
+            if one.key | {name} not in self.known:
+                cases[name] = further
         weigh = partial(weighed_of, record)
         with closing(ahead(weigh, cases, self.base.executor, self.base.say)) as results:
             for further in cases.values():
@@ -173,11 +172,12 @@ class Search:
         """Note a model; None where the record does not determine it."""
         record = self.ranking.record
         base = self.base.fit.model
+        tried = 0.0
         for effect in effects:
             names = new_names(base, effect, weighed.names)
             if at_limit(weighed.model, names, weighed.at_bounds):
                 return None
-        tried = sum(prices[str(effect)] for effect in effects)
+            tried += prices[str(effect)]
         equations = [base.index(effect.equation) for effect in effects]
         found = Combination(
             effects,
