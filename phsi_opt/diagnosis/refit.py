@@ -344,15 +344,27 @@ class Refitting:
             steps=tuple(refinement * steps for steps in base.fit.steps),
         )
         task = Task(self.model, self.aligned, l1_weights(None), None, BRIEF)
-        task = replace(task, corners=tuple(corner_widths(self.model)))
-        fit = fit_of_task(base.loss, task, start)
+        fit = self._no_worse(task, fit_of_task(base.loss, task, start))
+        corners = tuple(corner_widths(fit.model))
+        if not corners:
+            return fit
+        task = replace(task, model=fit.model, corners=corners)
+        return fit_of_task(base.loss, task, fit)
+
+    def _no_worse(self, task: Task, fit: Fit) -> Fit:
+        """A fit that is as good as the base, begun elsewhere where it must be.
+
+        Raises:
+            PhsiOptError: there is none.
+        """
+        base = self.base
         if not base.record.is_of_training:
             return fit  # the base was fitted to other data
         if is_worse(fit, base.fit):
             fit = thorough_fit(self.aligned, base.loss, fit)
         if not is_worse(fit, base.fit):
             return fit
-        small = with_no_size(model, *self.candidate.effects)
+        small = with_no_size(base.fit.model, *self.candidate.effects)
         fit = fit_of_task(base.loss, replace(task, model=small), base.fit)
         if is_worse(fit, base.fit):
             raise SolveError("no fit was found that is as good as the one without it.")
