@@ -43,6 +43,7 @@ from phsi_opt.diagnosis.refit import DiagnosedModel, Weighted, refit, thorough_r
 from phsi_opt.diagnosis.search import Search
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect, is_wave
+from phsi_opt.presentation.numbers import enumerated
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
@@ -330,7 +331,7 @@ class _Judge:
         named = [effect for finding in findings for effect in finding.effects]
         self.reject_others(proposal.effects, named)
         verdict = Verdict.NAMED
-        said = " and ".join(map(str, findings))
+        said = enumerated(map(str, findings))
         reason = f"{said}; {self.base.change_words(larger)}; "
         grade = Grade.of(proposal.log_evidence)
         reason += f"{grade} evidence (log evidence {proposal.log_evidence:.1f})"

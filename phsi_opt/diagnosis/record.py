@@ -17,7 +17,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis, step_without_name
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import TRAINING, Answer
-from phsi_opt.presentation.numbers import capitalised
+from phsi_opt.presentation.numbers import capitalised, enumerated
 from phsi_opt.presentation.summary import (
     Part,
     Summarised,
@@ -302,7 +302,7 @@ def next_step(
         )
     if not findings:
         return step_without_name(analysis, units)
-    firsts = " and ".join(str(finding.effects[0]) for finding in findings)
+    firsts = enumerated(str(finding.effects[0]) for finding in findings)
     again = ", then diagnose again" if verdict == Verdict.PARTLY_NAMED else ""
     apart = []
     for finding in findings:

@@ -21,6 +21,7 @@ from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.presentation.numbers import enumerated
 from phsi_opt.screening.effect_size import new_names
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import Screened
@@ -47,7 +48,7 @@ class Combination:
 
     @property
     def name(self) -> str:
-        return " and ".join(map(str, self.effects))
+        return enumerated(map(str, self.effects))
 
     @property
     def key(self) -> frozenset[str]:

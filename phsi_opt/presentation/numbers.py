@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any
 
@@ -32,6 +32,12 @@ BESIDE = re.compile(r"(?<=±) (?=\d)")
 LONG_CONSTANT = re.compile(
     r"(?<![\w.])(?=[0.]*[1-9](?:\.?\d){5})\d+\.\d+(?![\w.]| \+-)"
 )
+
+
+def enumerated(words: Iterable[str]) -> str:
+    """Such as "a, b and c"."""
+    *others, last = ["", *words]
+    return " and ".join(filter(None, [", ".join(others[1:]), last]))
 
 
 def number(value: float | None, digits: int = 0) -> str:

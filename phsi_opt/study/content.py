@@ -41,6 +41,7 @@ from phsi_opt.presentation.content import (
     thinned,
 )
 from phsi_opt.presentation.numbers import (
+    enumerated,
     label,
     number,
     number_of,
@@ -104,7 +105,7 @@ def study_content(
     size, unit = study.error_scale
     models = [_model("Base model", study.steps[0].fit)]
     if last:
-        added = " and ".join(map(str, study.last.added))
+        added = enumerated(map(str, study.last.added))
         heading = f"Present model: with {added}" if added else "Present model"
         models.append(_model(heading, study.last.fit))
     measured = study.train.measured

@@ -25,6 +25,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
+from phsi_opt.presentation.numbers import enumerated
 from phsi_opt.presentation.summary import Summarised, Summary
 from phsi_opt.study.record import Step, StudyRecord
 from phsi_opt.sweeps.sweep import Progress, silent
@@ -373,7 +374,7 @@ class Study(Summarised):
             try:
                 self._add_all(proposed, diagnosis.proposed_fit)
             except SolveError as error:
-                which = " and ".join(map(str, proposed))
+                which = enumerated(map(str, proposed))
                 return self._stop(f"{said}; {which} could not be added: {error}")
             self._check_earlier()
         return self._stop(
@@ -493,7 +494,7 @@ class Study(Summarised):
         """Add effects in one step; of several, each was needed beside the other."""
         if fit is None:
             return self.add(effects[0])
-        label = " and ".join(map(str, effects))
+        label = enumerated(map(str, effects))
         self._say(f"adding {label}")
         added = (*self.added, *effects)
         present = self.record.present
