@@ -15,6 +15,7 @@ from phsi_opt.presentation.content import VERDICT_WORDS, Answer, unestablished_w
 from phsi_opt.presentation.numbers import (
     capitalised,
     change_words,
+    enumerated,
     lowered,
     number,
     p_value_words,
@@ -49,6 +50,7 @@ FILTERS = {
     "estimate": with_error,
     "with_interval": with_interval,
     "capital": capitalised,
+    "enumerated": enumerated,
     "lowered": lowered,
     "unestablished": unestablished_words,
     "verdict": lambda status: VERDICT_WORDS.get(status, status),
