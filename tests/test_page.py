@@ -203,7 +203,7 @@ def test_a_part_that_fails_is_told_and_stops_no_other(
 def test_a_file_whose_reading_never_ends_stops_nobody(
     browser: Browser, tmp_path: Path
 ) -> None:
-    slow = "session.look_at, session.READ_WITHIN = page_tools.endless, 15.0"
+    slow = "session.drafts.look_at, session.READ_WITHIN = page_tools.endless, 15.0"
     with served(tmp_path, slow) as address:
         page = browser.new_page()
         page.goto(address)
