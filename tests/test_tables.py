@@ -521,3 +521,9 @@ def test_a_matlab_file_of_version_7_3_is_refused_with_what_to_do() -> None:
     file = io.BytesIO(header + version_and_order + bytes(384) + b"\x89HDF\r\n\x1a\n")
     with pytest.raises(ph.DataError, match=r"version 7\.3 .*save\(name, '-v7'\)"):
         ph.Measurements.from_mat(file, time="t", states=["q"])
+
+
+def test_a_column_that_is_called_by_a_number_of_numpy_is_refused_by_name() -> None:
+    frame = pd.DataFrame({"t": [0.0, 1.0, 2.0], "q": [1.0, 2.0, 3.0]})
+    with pytest.raises(ph.DataError, match=r"has no column .*1\.0.*; expected one"):
+        ph.Measurements.from_dataframe(frame, time=np.float64(1), states=["q"])

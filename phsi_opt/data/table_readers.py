@@ -361,8 +361,8 @@ class Layout:
         for name in self.clocks:
             said = f"clocks: there is no state and no input {name!r}"
             require_known(name, [*self.states, *self.inputs], said, DataError)
-        is_empty = [column in ([], ()) for column in self.parts.values()]
-        if None in self.inputs.values() or any(is_empty):
+        parts = [one for one in self.parts.values() if isinstance(one, list | tuple)]
+        if None in self.inputs.values() or not all(parts):
             raise DataError(
                 f"inputs={self.inputs!r}, states={self.states!r} or time={self.time!r} "
                 "has an entry without a column; inputs must be measured."

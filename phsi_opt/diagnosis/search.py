@@ -3,8 +3,8 @@
 A beam of the likeliest models goes on from round to round: each is enlarged by the
 effects that screening expects to gain beside its force, and each that is new gives back
 one of its earlier effects, as the first may have stood in for what was found later.
-A search ends where no neighbour of the likeliest model is likelier, or where this is as
-likely without a force: then nothing is left to be found.
+Where the likeliest model is as likely without a force nothing is left to be found, and
+only exchanges of one effect go on. A search ends where it finds no likelier model.
 """
 
 from collections.abc import Mapping, Sequence
@@ -80,13 +80,18 @@ class Search:
     def run(self) -> None:
         """Enlarge the likeliest models, as long as that finds likelier ones."""
         seen: set[frozenset[str]] = set()
-        best = None
+        last = None
         while self.known:
-            ordered = self.in_order()
-            if ordered[0] is best or (best and self._is_complete(ordered[0])):
+            models: list[Combination | None] = [*self.in_order()]
+            best = models[0]
+            if best is None or best is last:
                 return
-            best = ordered[0]
-            for one in [one for one in ordered if one.key not in seen][:BEAM_WIDTH]:
+            if last is not None and self._is_complete(best):
+                # No further effect can gain; another in place of one of them may.
+                models = [self._without(best, str(effect)) for effect in best.effects]
+            last = best
+            open_ones = [one for one in models if one and one.key not in seen]
+            for one in open_ones[:BEAM_WIDTH]:
                 seen.add(one.key)
                 if len(one.effects) < MOST_EFFECTS:
                     self._enlarge(one)
