@@ -29,7 +29,7 @@ from problems.tools.intervals import share
 from problems.tools.pages import render
 from problems.tools.provenance import write
 
-FIRST, N_CASES = 66_000, 6  # of each kind
+FIRST, N_CASES = 66_000, 5  # of each kind
 SURE = 3.0  # standard errors
 FINE = 20  # steps of a simulation between two samples
 
