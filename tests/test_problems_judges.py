@@ -4,12 +4,14 @@ import copy
 import json
 from typing import Any
 
+import numpy as np
 import pytest
 
+import phsi_opt as ph
 from problems.battery.ask import CLASS, FALSE, NAME, SILENT
 from problems.battery.draw import KINDS, ROWS
 from problems.battery.records import FIELD, HIDDEN
-from problems.judges import fits, verdicts
+from problems.judges import fits, searches, verdicts
 from problems.judges.cases import IN_ROUND, IN_VERDICTS, one_round, rounds
 from problems.judges.fit_cases import PROBLEMS
 
@@ -24,6 +26,14 @@ def test_a_problem_of_each_kind_builds_with_data_of_its_model() -> None:
         problem = make()
         assert set(problem.data.states) <= set(problem.model.states), kind
         assert problem.model.free, kind
+
+
+@pytest.mark.parametrize("kind", searches.KINDS)
+def test_a_search_is_asked_for_effects_that_its_model_may_have(kind: str) -> None:
+    case = searches.KINDS[kind](np.random.default_rng(DEVELOPED))
+    names = {str(effect) for effect in ph.catalogue(case.model, case.data.units)}
+    assert case.true <= names and case.sizes.keys() <= case.true
+    assert len(case.data) == 2 and case.data.states == case.model.states
 
 
 @pytest.fixture(scope="module")
