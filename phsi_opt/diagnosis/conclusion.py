@@ -39,7 +39,12 @@ from phsi_opt.diagnosis.candidate import (
 from phsi_opt.diagnosis.data_causes import data_cause
 from phsi_opt.diagnosis.ranking import Ranking, rank_again, ranked
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.diagnosis.refit import DiagnosedModel, Weighted, refit, thorough_refit
+from phsi_opt.diagnosis.refit import (
+    DiagnosedModel,
+    WeighedEffects,
+    refit,
+    thorough_refit,
+)
 from phsi_opt.diagnosis.search import Search
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect, is_wave
@@ -203,7 +208,7 @@ class _Judge:
         self.refits[one.name] = larger
         return larger
 
-    def refitted(self, one: Weighted, thorough: bool) -> DiagnosedModel | str:
+    def refitted(self, one: WeighedEffects, thorough: bool) -> DiagnosedModel | str:
         """The base with effects that were weighed; or why they are rejected."""
         larger = refit(self.base, one)
         if larger is None:

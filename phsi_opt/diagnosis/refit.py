@@ -244,7 +244,7 @@ def _gain_beside(
     return both[0].log_evidence - both[1].log_evidence
 
 
-class Weighted(Protocol):
+class WeighedEffects(Protocol):
     """Effects that were weighed together, and from where a re-fit with them begins."""
 
     @property
@@ -264,7 +264,7 @@ class Weighted(Protocol):
         """States along the record, (n_nodes, n_states); None if they are the base's."""
 
 
-def refit(base: DiagnosedModel, candidate: Weighted) -> DiagnosedModel | None:
+def refit(base: DiagnosedModel, candidate: WeighedEffects) -> DiagnosedModel | None:
     """The base model with effects more, fitted; None where that fails, which is said.
 
     Its free runs are judged beside the noise and the starting states of the base.
@@ -305,7 +305,7 @@ def thorough_refit(brief: DiagnosedModel) -> DiagnosedModel:
 class Refitting:
     """One larger model on the way from its start to a fit with its free runs."""
 
-    def __init__(self, base: DiagnosedModel, candidate: Weighted) -> None:
+    def __init__(self, base: DiagnosedModel, candidate: WeighedEffects) -> None:
         """The larger model, with the values beside which the effects were weighed."""
         self.base = base
         self.candidate = candidate

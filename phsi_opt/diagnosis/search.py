@@ -115,8 +115,8 @@ class Search:
         worth = {}
         for name in map(str, one.effects):
             rest = self._without(one, name)
-            left = 0.0 if len(one.effects) == 1 else -np.inf
-            worth[name] = one.log_evidence - (rest.log_evidence if rest else left)
+            # Without a model to compare with, what all of them gain.
+            worth[name] = one.log_evidence - (rest.log_evidence if rest else 0.0)
         return dict(sorted(worth.items(), key=lambda item: -item[1]))
 
     def alike(self, one: Combination, name: str) -> list[Effect]:
