@@ -12,11 +12,8 @@ from phsi_opt.optimization.banded import (
     FEWEST_STATES,
     Banded,
     BandLayout,
-    Chain,
     Chained,
     Passage,
-    TimeLayout,
-    neighbours_first,
 )
 from phsi_opt.optimization.bounded_step import (
     HELD,
@@ -87,40 +84,34 @@ class System:
         run = np.repeat(np.arange(len(lengths)), lengths)
         place = np.concatenate([np.arange(length) for length in lengths])
         begin = np.flatnonzero(np.diff(run) == 0)
-        self.n_x = len(run) * n
+        self.begin = begin
         of_samples = rng.uniform(0.5, 2.0, (len(run), n))
         is_sample = (place % steps == 0)[:, None]
-        entries = [np.where(is_sample, of_samples, 1e-13).ravel()]
-        rows = [np.arange(self.n_x)]
-        columns = [np.arange(self.n_x)]
-        row, column = np.indices((n, n)).reshape(2, -1)
+        self.curvature = np.where(is_sample, of_samples, 1e-13)
+        slopes = np.zeros((len(begin), n, len(run), n))
         for interval, node in enumerate(begin):
             for at, sign in ((node, -1.0), (node + 1, 1.0)):
-                slopes = sign * np.eye(n) + rng.normal(size=(n, n)) / (5 * n)
-                defect = self.n_x + interval * n + row
-                state = at * n + column
-                rows += [defect, state]
-                columns += [state, defect]
-                entries += [slopes.ravel(), slopes.ravel()]
-        self.rows = np.concatenate(rows)
-        self.columns = np.concatenate(columns)
-        self.entries = np.concatenate(entries)
+                noise = rng.normal(size=(n, n)) / (5 * n)
+                slopes[interval, :, at] = sign * np.eye(n) + noise
+        self.slopes = slopes.reshape(len(begin) * n, -1)
         times = np.repeat(np.r_[np.arange(len(run)), begin + 0.5], n)
         self.order = np.argsort(times, kind="stable")
-        self.chain = Chain(begin, len(run), n)
 
-    def factors(self) -> Banded | Chained:
-        layout = TimeLayout(self.rows, self.columns, self.order, self.chain)
-        return layout.factors(self.entries)
+    def factors(self) -> Chained | None:
+        return Chained.of(csr_matrix(self.slopes), self.begin, self.curvature)
+
+    def whole(self) -> np.ndarray:
+        zeros = np.zeros((len(self.slopes), len(self.slopes)))
+        curved = np.diag(self.curvature.ravel())
+        return np.block([[curved, self.slopes.T], [self.slopes, zeros]])
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3])
 def test_cholesky_factors_solve_what_those_of_the_band_solve(steps: int) -> None:
     system = System(FEWEST_STATES, [4, 2, 3], steps)
     chained = system.factors()
-    assert isinstance(chained, Chained)
-    layout = BandLayout(system.rows, system.columns, system.order)
-    whole = Banded(layout, system.entries)
+    assert chained is not None
+    whole = factors_of(system.whole(), system.order)
     right = np.random.default_rng(1).normal(size=(chained.n, 3))
     for one in (right, right[:, 0]):
         solution = chained.solve(one)
@@ -128,28 +119,11 @@ def test_cholesky_factors_solve_what_those_of_the_band_solve(steps: int) -> None
     assert chained.log_abs_det == pytest.approx(whole.log_abs_det, abs=1e-8)
 
 
-def a_state_lacks(system: System) -> None:
-    system.entries[FEWEST_STATES + 1] = 0.0
-
-
-def a_run_ends_between_samples(system: System) -> None:
-    system.entries[system.n_x - FEWEST_STATES : system.n_x] = 0.0
-
-
-def states_share_a_curvature(system: System) -> None:
-    system.rows = np.append(system.rows, 0)
-    system.columns = np.append(system.columns, 1)
-    system.entries = np.append(system.entries, 0.1)
-
-
-@pytest.mark.parametrize(
-    "changed", [a_state_lacks, a_run_ends_between_samples, states_share_a_curvature]
-)
-def test_what_is_not_such_a_system_takes_the_band(changed) -> None:
-    system = System(FEWEST_STATES, [4], 1)
-    changed(system)
-    assert isinstance(system.factors(), Banded)
-    assert isinstance(System(FEWEST_STATES - 1, [4], 1).factors(), Banded)
+def test_what_samples_do_not_measure_takes_the_band() -> None:
+    lacking, ending = System(3, [4], 1), System(3, [4], 1)
+    lacking.curvature[1, 1] = 0.0
+    ending.curvature[-1] = 0.0
+    assert lacking.factors() is None and ending.factors() is None
 
 
 # ---- dynamics over gaps, against dense algebra gap by gap
@@ -189,9 +163,7 @@ class Gaps:
             slopes[interval, :, node] = self.before[interval]
             slopes[interval, :, node + 1] = self.after[interval]
         matrix = csr_matrix(slopes.reshape(n_intervals * n, -1))
-        row, column = np.nonzero(np.any(self.before, axis=0))
-        rank = np.argsort(neighbours_first(row, column, n))
-        return Passage(matrix, self.begin, self.is_sample, rank)
+        return Passage(matrix, self.begin, self.is_sample, n)
 
     def held(self) -> csr_matrix:
         """Effects of forces that are held over each gap."""

@@ -293,9 +293,7 @@ class Linearization:
             u1=grid.u1[grid.sample[grid.begin + 1]],
         )
         slopes = csr_matrix(self.dynamics_in_states)
-        touching = slopes.tocoo()
-        order = neighbours_first(touching.row % n, touching.col % n, n)
-        passage = Passage(slopes, grid.begin, grid.sample, np.argsort(order))
+        passage = Passage(slopes, grid.begin, grid.sample, n)
         effects = self.force_effects.tocoo()
         gap = np.cumsum(is_first) - 1
         interval, equation = np.divmod(effects.col, n)

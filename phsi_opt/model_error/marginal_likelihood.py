@@ -26,7 +26,7 @@ from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, hstack
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbances import Disturbances, Process, Whitener
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.optimization.banded import Banded, Chain, Chained, TimeLayout
+from phsi_opt.optimization.banded import FEWEST_STATES, Banded, BandLayout, Chained
 from phsi_opt.optimization.bounded_step import (
     ANY_ROOM,
     REGULAR,
@@ -293,7 +293,6 @@ class MarginalLikelihood:
             columns += [on_diagonal, before, after]
             self.places.append(slice(first, first + len(site.t)))
             first += len(site.t)
-        is_bare = problem.softness is None and problem.curvature is None
         if problem.softness is not None:
             multipliers = n + np.arange(len(problem.softness))
             rows.append(multipliers)
@@ -308,13 +307,16 @@ class MarginalLikelihood:
         of_process = [site.place for site in self.sites]
         place = np.concatenate([of_state, *of_process, of_multiplier])
         self._run_of_unknown = grid.trajectory[place.astype(int)]
-        chain = Chain(grid.begin, grid.n_nodes, problem.n_states)
-        self._layout = TimeLayout(
-            rows=np.concatenate(rows),
-            columns=np.concatenate(columns),
-            order=np.argsort(place, kind="stable"),
-            chain=chain if is_bare else None,
+        self._layout = BandLayout(
+            np.concatenate(rows),
+            np.concatenate(columns),
+            np.argsort(place, kind="stable"),
+            is_symmetric=True,
         )
+        is_bare = problem.softness is None and problem.curvature is None
+        has_diagonal = np.array_equal(self._one, self._other)  # C' W C
+        is_larger = problem.n_states >= FEWEST_STATES
+        self._may_chain = is_larger and is_bare and has_diagonal and not self.sites
 
     def _set_pairs(self, shown: csr_matrix) -> None:
         """Pairs of entries in one row of C, whose products make C' W C."""
@@ -406,7 +408,8 @@ class MarginalLikelihood:
             upper = problem.curvature.of_states
             below = np.where(upper.row < upper.col, upper.data, 0.0)
             entries += [upper.data, below]
-        factors = self._layout.factors(np.concatenate(entries))
+        factors = self._chained(curvature, shift) if self._may_chain else None
+        factors = factors or Banded(self._layout, np.concatenate(entries))
         right = self._right(weights)
         return OptimalitySystem(
             likelihood=self,
@@ -417,6 +420,16 @@ class MarginalLikelihood:
             log_constant=log_noise + log_prior - factors.log_abs_det / 2,
             right=right,
             solved=factors.solve(right),
+        )
+
+    def _chained(self, curvature: np.ndarray, shift: np.ndarray) -> Chained | None:
+        """Factors by the states' own curvature; None where the band serves."""
+        own = self.shown.indices[self._one]
+        diagonal = np.bincount(own, curvature, minlength=len(shift)) + shift
+        nodes = self.problem.nodes
+        slopes = csr_matrix(self._dynamics())
+        return Chained.of(
+            slopes, self.problem.grid.begin, diagonal.reshape(nodes.shape)
         )
 
     def _right(self, weights: np.ndarray) -> np.ndarray:

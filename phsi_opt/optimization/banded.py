@@ -16,12 +16,10 @@ take a small part of the work, and a fifth of the memory, of LU factors of the w
     [J  0 ] [l] = [b]      H diagonal;  J H^-1 J' l = J H^-1 a - b
 
 Nodes between samples, where nothing was measured, follow from the sample before
-(`Passage`). `TimeLayout` takes whichever serves.
+(`Passage`).
 """
 
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dgbtrf, dgbtrs, dpbtrf, dpbtrs
@@ -150,9 +148,10 @@ class Passage:
         begin: (n_intervals,) first node of each interval, in the order of time; the
             next node is its end.
         is_sample: (n_nodes,); the first and last nodes of every trajectory are samples.
-        rank: (n_states,) place of each state where those that touch are neighbours.
+        n_states: number of states.
 
     Attributes:
+        rank: (n_states,) place of each state where those that touch are neighbours.
         of_inside: rows of J that end inside gaps; of_last: those that end at samples.
         inside: columns of J of the nodes inside; samples: those of samples.
 
@@ -165,10 +164,12 @@ class Passage:
         slopes: csr_matrix,
         begin: np.ndarray,
         is_sample: np.ndarray,
-        rank: np.ndarray,
+        n_states: int,
     ) -> None:
-        self._rank = rank
-        self._n = len(rank)
+        entries = slopes.tocoo()
+        row, column = entries.row % n_states, entries.col % n_states
+        self.rank = rank = np.argsort(neighbours_first(row, column, n_states))
+        self._n = n_states
         is_last = is_sample[begin + 1]
         sample = np.cumsum(is_sample) - 1
         self._sample = sample[begin[is_sample[begin]]]
@@ -195,7 +196,7 @@ class Passage:
     def _factored(self, slopes: coo_matrix, gap: np.ndarray) -> Banded:
         """Of the slopes inside, in the order that makes the narrower band."""
         interval, state = np.divmod(np.arange(slopes.shape[0]), self._n)
-        rank = self._rank[state]
+        rank = self.rank[state]
         layouts = []
         for keys in ((interval, rank, gap[interval]), (rank, interval)):
             layouts.append(BandLayout(slopes.row, slopes.col, np.lexsort(keys)))
@@ -244,7 +245,7 @@ class Passage:
         n = self._n
         entries = blocks.tocoo()
         largest = NEGLIGIBLE * np.max(np.abs(entries.data), initial=0.0)
-        column = self._rank[entries.col % n] % apart
+        column = self.rank[entries.col % n] % apart
         parts: list[tuple[np.ndarray, ...]] = []
         for first in range(0, apart, PANEL):
             own = (column >= first) & (column < first + PANEL)
@@ -255,16 +256,16 @@ class Passage:
             ).toarray(order="F")
             effect = -(self.onward @ self.followed(right))
             row, number = np.nonzero(np.abs(effect) > largest)
-            distance = number + first - self._rank[row % n]
+            distance = number + first - self.rank[row % n]
             if apart < n:
                 distance = (distance + apart // 2) % apart - apart // 2
-            rank = self._rank[row % n] + distance
+            rank = self.rank[row % n] + distance
             is_far = np.abs(distance) >= apart // 2 - self._reach
             if apart < n and np.any(is_far | (rank < 0) | (rank >= n)):
                 return None
             parts.append((effect[row, number], row, rank))
         value, row, rank = map(np.concatenate, zip(*parts, strict=True))
-        state = np.argsort(self._rank)[rank]
+        state = np.argsort(self.rank)[rank]
         places = (row, place[row // n] * n + state)
         shape = (len(place) * n, blocks.shape[1])
         return coo_matrix((value, places), shape=shape).tocsr()
@@ -280,97 +281,12 @@ def neighbours_first(row: np.ndarray, column: np.ndarray, n_states: int) -> np.n
 # ---- many states, all of them measured at samples
 
 
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """Nodes along the time, and intervals that join neighbours.
-
-    ``begin`` (n_intervals,) is the first node of each interval; the next is its end.
-    """
-
-    begin: np.ndarray
-    n_nodes: int
-    n_states: int
-
-    @property
-    def n_x(self) -> int:
-        """Number of states at all nodes."""
-        return self.n_nodes * self.n_states
-
-    def samples(self, curvature: np.ndarray) -> np.ndarray | None:
-        """Nodes of which all states are measured, (n_nodes,); of the others none is.
-
-        None where it is not so, or where a trajectory begins or ends between samples.
-        ``curvature`` (n_nodes, n_states) is the diagonal of H.
-        """
-        largest = np.max(curvature, initial=0.0)
-        # What lies between the two limits would cost digits.
-        is_sample = np.all(curvature > 1e-8 * largest, axis=1)
-        is_between = np.all(curvature <= 1e-11 * largest, axis=1)
-        has_both = np.isin(np.arange(self.n_nodes), self.begin)
-        has_both &= np.isin(np.arange(self.n_nodes), self.begin + 1)
-        return is_sample if np.all(is_sample | (is_between & has_both)) else None
-
-
-@dataclass(frozen=True, eq=False)
-class ChainLayout:
-    """Where the entries of matrices of one pattern stand: H, J and the nodes."""
-
-    chain: Chain  # nodes and intervals, in the order of time
-    # (n_states,) the states of a node, those that touch near each other.
-    order: np.ndarray
-    # Entries of the diagonal of H among all; ``state``: where they stand.
-    curved: np.ndarray
-    state: np.ndarray
-    # Entries of J among all; ``row`` and ``column``: where they stand.
-    sloped: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
-
-    @classmethod
-    def of(
-        cls, rows: np.ndarray, columns: np.ndarray, chain: Chain
-    ) -> "ChainLayout | None":
-        """Of a pattern; None where it is not of this kind, or too small to gain."""
-        begin, n, n_x = chain.begin, chain.n_states, chain.n_x
-        n_unknowns = n_x + len(begin) * n
-        is_larger = max(np.max(rows, initial=0), np.max(columns, initial=0))
-        in_time = bool(np.all(np.diff(begin) > 0))
-        if n < FEWEST_STATES or not in_time or is_larger >= n_unknowns:
-            return None  # such as one with processes among its unknowns
-        curved = np.flatnonzero((rows < n_x) & (columns < n_x))
-        if np.any(rows[curved] != columns[curved]):
-            return None
-        sloped = np.flatnonzero((rows >= n_x) & (columns < n_x))
-        row = rows[sloped] - n_x
-        column = columns[sloped]
-        first = begin[row // n] * n
-        if np.any((column < first) | (column >= first + 2 * n)):
-            return None
-        order = neighbours_first(row % n, column % n, n)
-        return cls(chain, order, curved, rows[curved], sloped, row, column)
-
-    def factors(self, entries: np.ndarray) -> "Chained | None":
-        """Of the matrix with these entries; None where samples do not measure all."""
-        chain = self.chain
-        diagonal = np.bincount(self.state, entries[self.curved], minlength=chain.n_x)
-        curvature = diagonal.reshape(chain.n_nodes, chain.n_states)
-        is_sample = chain.samples(curvature)
-        if is_sample is None or not np.all(np.isfinite(entries)):
-            return None
-        shape = (len(chain.begin) * chain.n_states, chain.n_x)
-        places = (self.row, self.column)
-        slopes = csr_matrix((entries[self.sloped], places), shape=shape)
-        with suppress(np.linalg.LinAlgError, SolveError):
-            return Chained(self, slopes, curvature, is_sample)
-        return None
-
-
 class Chained:
-    """Cholesky factors of the system of one layout.
+    """Cholesky factors where samples measure all states, and nothing between them is.
 
     Args:
-        layout: of the pattern.
         slopes: J, (n_intervals * n_states, n_nodes * n_states).
+        begin: as that of `Passage`.
         curvature: (n_nodes, n_states) diagonal of H.
         is_sample: (n_nodes,) whether a node's states are measured.
 
@@ -379,23 +295,39 @@ class Chained:
         np.linalg.LinAlgError: a multiplier does not.
     """
 
+    @classmethod
+    def of(
+        cls, slopes: csr_matrix, begin: np.ndarray, curvature: np.ndarray
+    ) -> "Chained | None":
+        """None where samples do not measure all, or where there are no factors."""
+        largest = np.max(curvature, initial=0.0)
+        # What lies between the two limits would cost digits.
+        is_sample = np.all(curvature > 1e-8 * largest, axis=1)
+        is_between = np.all(curvature <= 1e-11 * largest, axis=1)
+        nodes = np.arange(len(curvature))
+        is_between &= np.isin(nodes, begin) & np.isin(nodes, begin + 1)
+        is_number = np.isfinite(largest) and np.all(np.isfinite(slopes.data))
+        if is_number and np.all(is_sample | is_between):
+            with suppress(np.linalg.LinAlgError, SolveError):
+                return cls(slopes, begin, curvature, is_sample)
+        return None
+
     def __init__(
         self,
-        layout: ChainLayout,
         slopes: csr_matrix,
+        begin: np.ndarray,
         curvature: np.ndarray,
         is_sample: np.ndarray,
     ) -> None:
-        chain = layout.chain
-        rank = np.argsort(layout.order)
-        self._passage = Passage(slopes, chain.begin, is_sample, rank)
+        n_states = curvature.shape[1]
+        self._passage = Passage(slopes, begin, is_sample, n_states)
         self._over_gaps = self._passage.slopes()
         self._inverse = 1 / curvature[is_sample].ravel()
         self.n = curvature.size + slopes.shape[0]
         self._n_x = curvature.size
-        n_gaps = self._over_gaps.shape[0] // chain.n_states
-        first = chain.n_states * np.arange(n_gaps)[:, None]
-        self._order = (first + layout.order).ravel()  # of multipliers in the band
+        first = np.arange(0, self._over_gaps.shape[0], n_states)[:, None]
+        # Of multipliers in the band.
+        self._order = (first + np.argsort(self._passage.rank)).ravel()
         band = _band_of_squares(self._over_gaps[self._order], self._inverse)
         self._factors, info = dpbtrf(band, lower=True, overwrite_ab=True)
         if info:
@@ -450,36 +382,3 @@ def _band_of_squares(slopes: csr_matrix, inverse: np.ndarray) -> np.ndarray:
         places = part.col[is_lower].astype(np.int64) * height + below[is_lower]
         band[places] = part.data[is_lower]
     return band.reshape(n, height).T
-
-
-@dataclass(frozen=True, eq=False)
-class TimeLayout:
-    """A symmetric pattern of states and multipliers, filled again and again.
-
-    ``rows``, ``columns`` and ``order`` are those of a `BandLayout`; ``chain`` has the
-    nodes and intervals that the unknowns belong to; None: a band is all.
-    """
-
-    rows: np.ndarray
-    columns: np.ndarray
-    order: np.ndarray
-    chain: Chain | None
-
-    @cached_property
-    def _banded(self) -> BandLayout:
-        return BandLayout(self.rows, self.columns, self.order, is_symmetric=True)
-
-    @cached_property
-    def _chained(self) -> ChainLayout | None:
-        if self.chain is None:
-            return None
-        return ChainLayout.of(self.rows, self.columns, self.chain)
-
-    def factors(self, entries: np.ndarray) -> Banded | Chained:
-        """Of the matrix with these entries (n_entries,).
-
-        Raises:
-            SolveError: the matrix is singular.
-        """
-        chained = self._chained and self._chained.factors(entries)
-        return chained or Banded(self._banded, entries)
