@@ -16,7 +16,6 @@ from phsi_opt.model.base import built_of
 from phsi_opt.model_error import joint_estimate
 from phsi_opt.optimization import banded
 from phsi_opt.optimization.ipopt import DIRECT_STEPS
-from phsi_opt.transcription.defects import mapped
 from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks import chains
 from problems.benchmarks.peer_problems import PROBLEMS, drawn
@@ -288,7 +287,6 @@ def test_a_fit_is_the_same_to_the_bit_whatever_was_fitted_before() -> None:
     ph.identify(spring(ph.Parameter(1.0), 0.2), swinging(seed=3))
     again = ph.identify(unknown(), data)
     built_of.cache_clear()
-    mapped.cache_clear()
     fresh = ph.identify(unknown(), data)
     for fit in (again, fresh):
         assert fit.values == warm.values

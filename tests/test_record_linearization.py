@@ -16,7 +16,7 @@ from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, white_system
 from phsi_opt.optimization.bounded_step import REGULAR, RIDGE, Room
-from phsi_opt.transcription.defects import defects
+from phsi_opt.transcription.defects import parameter_slopes
 from phsi_opt.transcription.grid import Grid, aligned, grid_of
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Point, Theta
@@ -81,7 +81,7 @@ class Dense:
         """As changes of the scaled states by one interval."""
         x, theta = self._split(z)
         grid = self.at.grid
-        d = np.array(defects(self.at.model, grid, SCHEME, x.T, theta)).T
+        d = parameter_slopes(self.at.model, grid, SCHEME, theta, x).d
         return (d * grid.h[:, None] / self.at.point.x_scale).ravel()
 
     def residual(self, z: np.ndarray) -> np.ndarray:

@@ -29,7 +29,11 @@ from phsi_opt.optimization.column_function import in_rows
 from phsi_opt.simulation.simulate import BufferedFunction
 from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.sweeps.sweep import Progress
-from phsi_opt.transcription.defects import defect, defects, interval_arguments
+from phsi_opt.transcription.defects import (
+    defect,
+    interval_arguments,
+    parameter_slopes,
+)
 from phsi_opt.transcription.grid import aligned_once, grid_of
 from phsi_opt.transcription.losses import complete_intervals
 
@@ -136,9 +140,8 @@ class DescentRun:
 
     def defects(self, kept: Model) -> np.ndarray:
         """Those of all data by the model that is kept, (n_intervals, n_states)."""
-        states = self.grid.y.T
-        d = defects(kept, self.grid, self.settings.integrator, states, kept.theta)
-        return np.array(d).T
+        scheme = self.settings.integrator
+        return parameter_slopes(kept, self.grid, scheme, kept.theta, only=[]).d
 
     def weak(self, epoch: int) -> set[str]:
         """Names of the terms that pruning removes after an epoch, by their size."""

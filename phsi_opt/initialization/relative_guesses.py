@@ -164,7 +164,7 @@ def values_at(
     """
     theta = model.theta if theta is None else theta
     grid = grid.driven(model, theta)
-    (values,) = at_nodes(model.function(expression), grid, padded(model, x).T, theta)
+    (values,) = at_nodes(model.function(expression), grid, padded(model, x), theta)
     return values.ravel()
 
 

@@ -268,7 +268,7 @@ def _rates_and_slopes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates (n_nodes, n_states), and slopes (n_nodes, n_states, n_states) in states."""
     grid = grid.driven(model, theta)
-    values, entries = at_nodes(model.rhs_slopes("x"), grid, x.T, theta)
+    values, entries = at_nodes(model.rhs_slopes("x"), grid, x, theta)
     n = model.n_states
     return values.T, entries.T.reshape(grid.n_nodes, n, n)
 

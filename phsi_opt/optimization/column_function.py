@@ -136,9 +136,9 @@ def _operation_on_symbols(kind: int, n_operands: int) -> Callable[..., ca.MX]:
 
 
 def in_columns(
-    function: ca.Function, arguments: Sequence[Sequence[ca.MX | ca.DM]]
-) -> list[list[ca.MX]]:
-    """The same in symbols: a program's function at many places at once.
+    function: ca.Function, arguments: Sequence[Sequence[ca.MX | ca.DM]], n: int
+) -> list[ca.MX]:
+    """The same in symbols: a program's function at n places, a row of results for each.
 
     `Function.map` goes through the instructions once for every place. Here CasADi's
     interpreter has one step for all of them: SRK4's defects and their slopes take a
@@ -146,15 +146,17 @@ def in_columns(
 
     Args:
         function: of scalars (SX), with dense arguments.
-        arguments: the entries of each argument, and so are the results: a column
-            (n_places,), or a number where it is the same at all places.
+        arguments: the entries of each: a column (n,), or a number where it is the same
+            at all places.
+        n: number of places.
     """
     symbols = [list(map(ca.MX, entries)) for entries in arguments]
-    results = [[ca.MX(0)] * function.nnz_out(i) for i in range(function.n_out())]
+    zeros = ca.MX.zeros(n)  # beside which a number is a column too
+    results = [[zeros] * function.nnz_out(i) for i in range(function.n_out())]
     instructions = _instructions(function, _operation_on_symbols, ca.MX)
     for number, entry, value in _carried_out(instructions, symbols):
-        results[number][entry] = value
-    return results
+        results[number][entry] = zeros + value
+    return [ca.horzcat(ca.MX(n, 0), *entries) for entries in results]
 
 
 def in_rows(function: ca.Function, n: int) -> ca.Function:
@@ -164,8 +166,5 @@ def in_rows(function: ca.Function, n: int) -> ca.Function:
     """
     rows = ca.MX.sym("rows", n, function.size1_in(0))
     theta = ca.MX.sym("theta", function.size1_in(1))
-    tables = []
-    for entries in in_columns(function, [ca.horzsplit(rows), ca.vertsplit(theta)]):
-        # A number where all rows have the same.
-        tables.append(ca.horzcat(*(ca.MX.zeros(n) + entry for entry in entries)))
+    tables = in_columns(function, [ca.horzsplit(rows), ca.vertsplit(theta)], n)
     return ca.Function("rows", [rows, theta], tables)

@@ -5,13 +5,11 @@ side of the model and Psi the mean derivative of a scheme (`integrators`). Every
 made from them. A defect depends on the two states at its ends and on the parameters
 alone, so its derivatives are small blocks, one per interval.
 
-A function of one interval (or node) is evaluated for all of them together: symbols by
-CasADi's `map`, numbers by `in_numbers`. Here the rows (n_nodes, n_states) of the data
-meet CasADi's columns (n_states, n_nodes).
+A function of one interval (or node) is evaluated for all of them together, numbers and
+symbols alike (`optimization.column_function`). Here the rows (n_nodes, n_states) of the
+data meet CasADi's columns (n_states, n_nodes).
 """
 
-from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -34,15 +32,10 @@ def interval_arguments(grid: Grid, x: Any) -> list[Any]:
 
     The states x (n_states, n_nodes) are symbols or numbers.
     """
-    begin = _places(grid.begin, x)
-    end = _places(grid.begin + 1, x)
-    return [x[:, begin], x[:, end], *known_arguments(grid)]
-
-
-def known_arguments(grid: Grid) -> list[np.ndarray]:
-    """t0, h, u0 and u1 of every interval, (n_rows, n_intervals) each."""
+    begin, end = _places(grid.begin, x), _places(grid.begin + 1, x)
     t0 = grid.t[grid.begin]
-    return [t0[None, :], grid.h[None, :], grid.u0.T, grid.u1.T]
+    known = [t0[None, :], grid.h[None, :], grid.u0.T, grid.u1.T]
+    return [x[:, begin], x[:, end], *known]
 
 
 def _places(numbers: np.ndarray, values: Any) -> Any:
@@ -52,58 +45,57 @@ def _places(numbers: np.ndarray, values: Any) -> Any:
 
 def _of_each(theta: Any, trajectory: np.ndarray) -> Any:
     """Parameters theta, a column per interval or node unless all share one."""
-    shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
-    is_shared = len(shape) < 2 or shape[1] == 1
+    is_shared = len(theta.shape) < 2 or theta.shape[1] == 1
     return theta if is_shared else theta[:, _places(trajectory, theta)]
 
 
-def map_intervals(
-    function: ca.Function, grid: Grid, arguments: list[Any], theta: Any
-) -> Any:
-    """The function in every interval with the parameters of its trajectory.
-
-    Its last argument are the parameters, (n_free,) or (n_free, n_trajectories); the
-    others have a column per interval.
-    """
-    return _mapped(function, arguments, theta, grid.runs)
-
-
-def map_nodes(function: ca.Function, grid: Grid, x: Any, theta: Any) -> Any:
-    """A function of (x, u, t, theta) at every node; ``x`` is (n_states, n_nodes)."""
-    arguments = [x, grid.u.T, grid.t[None, :]]
-    return _mapped(function, arguments, theta, grid.trajectory)
-
-
-def _mapped(
-    function: ca.Function, arguments: list[Any], theta: Any, trajectory: np.ndarray
-) -> Any:
-    own = _of_each(theta, trajectory)
-    return mapped(function, len(trajectory), own is theta)(*arguments, own)
-
-
-@lru_cache(32)  # of one model and its next neighbours; each takes some memory
-def mapped(function: ca.Function, n: int, is_shared: bool) -> ca.Function:
-    """The function in n columns; the last argument may be one and the same for all."""
-    if is_shared:
-        return function.map("mapped", "serial", n, [function.n_in() - 1], [])
-    return function.map(n, "serial")
-
-
 def in_intervals(
-    function: ca.Function, grid: Grid, arguments: list[Any], theta: np.ndarray
+    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray, *more: Any
 ) -> list[np.ndarray]:
-    """`map_intervals` in numbers: entries of every result, (n_entries, n_intervals)."""
+    """A function of an interval in all: entries of its results, (n_entries, n).
+
+    Its arguments are those of `defect`: of states x (n_nodes, n_states), ``more``
+    numbers (n_rows, n_intervals), and parameters theta, (n_free,) or (n_free,
+    n_trajectories), of which every interval has those of its trajectory.
+    """
     own = _of_each(theta, grid.runs)
-    return in_numbers(function, *arguments, own.ravel() if own is theta else own)
+    own = own.ravel() if own is theta else own
+    return in_numbers(function, *interval_arguments(grid, x.T), *more, own)
 
 
 def at_nodes(
     function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> list[np.ndarray]:
-    """`map_nodes` in numbers: entries of every result, (n_entries, n_nodes)."""
+    """The same of a function of (x, u, t, theta) at every node."""
     own = _of_each(theta, grid.trajectory)
     own = own.ravel() if own is theta else own
-    return in_numbers(function, x, grid.u.T, grid.t[None, :], own)
+    return in_numbers(function, x.T, grid.u.T, grid.t[None, :], own)
+
+
+def symbols_in_intervals(
+    function: ca.Function, grid: Grid, x: Any, theta: ca.MX, *more: ca.MX
+) -> list[ca.MX]:
+    """`in_intervals` in symbols: of every result a row per interval.
+
+    States x are (n_states, n_nodes), symbols or numbers.
+    """
+    arguments = [*interval_arguments(grid, x), *more, _of_each(theta, grid.runs)]
+    return in_columns(function, list(map(_columns, arguments)), grid.n_intervals)
+
+
+def symbols_at_nodes(
+    function: ca.Function, grid: Grid, x: ca.MX, theta: ca.MX
+) -> list[ca.MX]:
+    """`at_nodes` in symbols: of every result a row per node."""
+    arguments = [x, grid.u.T, grid.t[None, :], _of_each(theta, grid.trajectory)]
+    return in_columns(function, list(map(_columns, arguments)), grid.n_nodes)
+
+
+def _columns(rows: Any) -> list[Any]:
+    """Every row of an argument as a column; one number where all are alike."""
+    if isinstance(rows, np.ndarray):
+        return [ca.DM(row if np.ptp(row) else row[:1]) for row in rows]
+    return ca.horzsplit(rows.T)
 
 
 # ---- defects
@@ -157,17 +149,6 @@ def _defect(model: Model, scheme: str, n_moving: int | None) -> ca.Function:
     names = ["x0", "x1", "t0", "h", "u0", "u1", "theta"]
     arguments = [x0, x1, *interval]
     return ca.Function("defect", arguments, [ca.densify(value)], names, ["d"])
-
-
-def defects(model: Model, grid: Grid, scheme: str, x: Any, theta: Any) -> Any:
-    """Defects of all intervals, (n_states, n_intervals).
-
-    States x (n_states, n_nodes) are symbols or numbers; parameters theta are (n_free,),
-    or (n_free, n_trajectories) where trajectories have parameters of their own. The
-    grid is `Grid.driven` already.
-    """
-    function = defect(model, scheme)
-    return map_intervals(function, grid, interval_arguments(grid, x), theta)
 
 
 # ---- their derivatives in the states and parameters
@@ -234,7 +215,7 @@ def defect_slopes(
     """
     function, places = linear_defect(model, scheme)
     grid = grid.driven(model, theta)
-    d, entries = in_intervals(function, grid, interval_arguments(grid, x.T), theta)
+    d, entries = in_intervals(function, grid, x, theta)
     n_states = model.n_states
     slopes = np.zeros((grid.n_intervals, n_states, 2 * n_states + len(theta)))
     slopes[:, *places.T] = entries.T
@@ -276,9 +257,9 @@ def parameter_slopes(
     chosen = list(range(len(model.free))) if only is None else only
     function = _with_slopes(model, scheme, chosen, n_moving)
     grid = grid.driven(model, theta)
-    arguments = interval_arguments(grid, (grid.y if x is None else x).T)
-    d, slopes = in_intervals(function, grid, arguments, theta)
-    return ParameterSlopes(d.T, slopes.T.reshape(d.size, len(chosen)))
+    d, slopes = in_intervals(function, grid, grid.y if x is None else x, theta)
+    by_equation = slopes.reshape(len(chosen), *d.shape)
+    return ParameterSlopes(d.T, by_equation.T.reshape(d.size, len(chosen)))
 
 
 def known_defects(
@@ -290,30 +271,21 @@ def known_defects(
     n_intervals,), one equation after the other; slopes have a column per parameter.
     """
     n_free = len(model.free)
-    arguments: list[Sequence[ca.DM | ca.MX]] = []
-    for rows in interval_arguments(grid, grid.y.T):
-        # One number where all are alike.
-        arguments.append([ca.DM(row if np.ptp(row) else row[:1]) for row in rows])
-    arguments.append(ca.vertsplit(theta))
     together = _with_slopes(model, scheme, list(range(n_free)))
-    d, slopes = in_columns(together, arguments)
-    zeros = ca.MX.zeros(grid.n_intervals)  # an entry may be one number for all places
-    columns = []
-    for entries in (d, *(slopes[j::n_free] for j in range(n_free))):
-        columns.append(ca.vertcat(*(zeros + entry for entry in entries)))
-    return columns[0], ca.horzcat(*columns[1:])
+    d, slopes = symbols_in_intervals(together, grid, grid.y.T, theta)
+    return ca.vec(d), ca.reshape(slopes, d.numel(), n_free)
 
 
 def _with_slopes(
     model: Model, scheme: str, chosen: list[int], n_moving: int | None = None
 ) -> ca.Function:
-    """A function of one interval: its defect, and the slopes of each equation."""
+    """A function of one interval: its defect, and its slopes, one after the other."""
 
     def make() -> ca.Function:
         function = defect(model, scheme, n_moving)
         arguments = argument_symbols(function)
         d = function(*arguments)
-        slopes = ca.densify(ca.jacobian(d, arguments[-1])[:, chosen]).T
+        slopes = ca.densify(ca.jacobian(d, arguments[-1])[:, chosen])
         return ca.Function("with_slopes", arguments, ca.cse([d, ca.vec(slopes)]))
 
     return model.built(("with slopes", scheme, tuple(chosen), n_moving), make)
@@ -362,14 +334,12 @@ def between_samples(
 def _ends(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """The exact ends of intervals that begin at states x, (n_intervals, n_states)."""
     exact = model.built("exact", lambda: _fine_integration(model))
-    begins = x[grid.begin].T
-    grid = grid.driven(model, theta)
-    (ends,) = in_intervals(exact, grid, [begins, *known_arguments(grid)], theta)
+    (ends,) = in_intervals(exact, grid.driven(model, theta), x, theta)
     return ends.T
 
 
 def _fine_integration(model: Model) -> ca.Function:
-    """CasADi function (x0, t0, h, u0, u1, theta) -> x at the end of the interval."""
+    """CasADi function of an interval -> x at its end; arguments as of `defect`."""
     rhs = model.rhs()
     psi = integrator("rk4").psi
     x0 = ca.SX.sym("x0", model.n_states)
@@ -385,4 +355,5 @@ def _fine_integration(model: Model) -> ca.Function:
     x = x0
     for k in range(FINE_STEPS):
         x = step(x, k, *interval)
-    return ca.Function("exact", [x0, *interval], [x])
+    x1 = ca.SX.sym("x1", model.n_states)  # which does not count
+    return ca.Function("exact", [x0, x1, *interval], [x])

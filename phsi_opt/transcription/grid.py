@@ -141,13 +141,13 @@ class Grid:
         nodes = np.column_stack([self.begin, self.begin + 1]).ravel()
         return self.at_nodes(nodes, begin=2 * np.arange(self.n_intervals))
 
-    def driven(self, model: Model, theta: Any) -> "Grid":
+    def driven(self, model: Model, theta: np.ndarray) -> "Grid":
         """With the delayed inputs of a model behind its measured ones.
 
         Values and slopes in the delay, as `BaseModel.delays` has them, at parameters
-        (n_free,) or (n_free, n_trajectories); with symbols in their place all stays.
+        (n_free,) or (n_free, n_trajectories).
         """
-        if not model.delays or not isinstance(theta, np.ndarray):
+        if not model.delays:
             return self
         known = np.broadcast_to(theta.T, (self.n_trajectories, len(model.free)))
         n = self.n_intervals

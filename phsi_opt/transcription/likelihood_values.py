@@ -21,10 +21,9 @@ from phsi_opt.transcription.defects import (
     at_nodes,
     defect_curvature,
     in_intervals,
-    interval_arguments,
     linear_defect,
     linear_function,
-    map_intervals,
+    symbols_in_intervals,
 )
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Point, Theta
@@ -162,10 +161,8 @@ class LikelihoodValues:
         """Defects and output of the sensors, with their slopes, at z (n_variables,)."""
         x, theta = self._unscaled(z)
         grid = self.grid.driven(self.model, theta)
-        function = self.linear_defect.function
-        arguments = interval_arguments(grid, x.T)
-        d, entries = in_intervals(function, grid, arguments, theta)
-        shown, of_shown = at_nodes(self._sensor, grid, x.T, theta)
+        d, entries = in_intervals(self.linear_defect.function, grid, x, theta)
+        shown, of_shown = at_nodes(self._sensor, grid, x, theta)
         return PointValues(
             g=(d.T * self.per_size).ravel(),
             jacobian=(entries[self.order].T * self.factor).ravel(),
@@ -194,9 +191,8 @@ class LikelihoodValues:
         x, theta = self._unscaled(z)
         weighted = multipliers.reshape(-1, self.n_states) * self.per_size
         grid = self.grid.driven(self.model, theta)
-        arguments = [*interval_arguments(grid, x.T), weighted.T]
         function = defect_curvature(self.model, self.scheme).function
-        (entries,) = in_intervals(function, self.grid, arguments, theta)
+        (entries,) = in_intervals(function, grid, x, theta, weighted.T)
         return entries.T.ravel() * self.curvature_factor
 
 
@@ -208,10 +204,9 @@ def constraint_jacobian(values: LikelihoodValues, x: ca.MX, theta: Any) -> ca.MX
 
     States x are (n_states, n_nodes), parameters (n_free,) or (n_free, n_trajectories).
     """
-    grid = values.grid
     function = values.linear_defect.function
-    of_intervals = map_intervals(function, grid, interval_arguments(grid, x), theta)[1]
-    entries = ca.vec(of_intervals[values.order.tolist(), :])
+    of_intervals = symbols_in_intervals(function, values.grid, x, theta)[1]
+    entries = ca.vec(of_intervals[:, values.order.tolist()].T)
     pattern = values.jacobian
     order = np.lexsort((pattern.rows, pattern.columns))  # as CasADi stores them
     factor = ca.DM(values.factor.ravel()[order])
@@ -233,8 +228,7 @@ def constraint_curvature(
     of_defects = multipliers[: n_states * grid.n_intervals]
     weighted = ca.reshape(of_defects, n_states, -1) * ca.DM(values.per_size.T)
     function = defect_curvature(values.model, values.scheme).function
-    columns = [*interval_arguments(grid, x), weighted]
-    entries = map_intervals(function, grid, columns, theta)
+    (entries,) = symbols_in_intervals(function, grid, x, theta, weighted)
     # Each entry of the Hessian once, in CasADi's order, and the entries per interval
     # that it sums up.
     pattern = values.curvature
@@ -245,4 +239,4 @@ def constraint_curvature(
     gather = scipy.sparse.csc_matrix(summed, shape=(len(entry), len(where)))
     column, row = np.divmod(entry, n_z)
     sparsity = ca.Sparsity.triplet(n_z, n_z, row.tolist(), column.tolist())
-    return ca.MX(sparsity, ca.mtimes(ca.DM(gather), ca.vec(entries)))
+    return ca.MX(sparsity, ca.mtimes(ca.DM(gather), ca.vec(entries.T)))

@@ -22,7 +22,12 @@ from phsi_opt.arguments import is_count, require, require_positive, require_size
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import SLACK_ABOVE, Program
-from phsi_opt.transcription.defects import defects, known_defects, map_nodes
+from phsi_opt.transcription.defects import (
+    defect,
+    known_defects,
+    symbols_at_nodes,
+    symbols_in_intervals,
+)
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import (
     LikelihoodValues,
@@ -163,17 +168,20 @@ class MaximumLikelihood:
         )
         x = ca.reshape(column, n_states, -1)
         of_runs = values.unknown.by_trajectory(theta)
-        d = defects(model, grid, self.integrator, x, of_runs)
+        function = defect(model, self.integrator)
+        (d,) = symbols_in_intervals(function, grid, x, of_runs)
         program.constrain(
             "defect",
-            d * ca.DM(values.per_size.T),
+            (d * ca.DM(values.per_size)).T,
             label=partial(grid.interval_label, n_states),
             jacobian=constraint_jacobian(values, x, of_runs),
         )
         program.curvature = partial(constraint_curvature, values, x, of_runs)
         # Row by row (n_nodes, n_states) is CasADi's order column by column.
         measured = np.flatnonzero(grid.measured.ravel()).tolist()
-        shown = map_nodes(model.output(), grid, x, of_runs) if model.sensor else x
+        shown = x
+        if model.sensor:
+            shown = symbols_at_nodes(model.output(), grid, x, of_runs)[0].T
         misfit = ca.DM(grid.y.ravel()[measured]) - ca.vec(shown)[measured]
         noise = program.setting("sigma", sigma)
         residual = misfit / ca.vec(noise[grid.channel.tolist()])

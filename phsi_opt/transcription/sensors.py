@@ -28,7 +28,7 @@ def outputs(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.nd
 
     Parameters theta are (n_free,), or (n_free, n_trajectories).
     """
-    return at_nodes(model.output(), grid.driven(model, theta), x.T, theta)[0].T
+    return at_nodes(model.output(), grid.driven(model, theta), x, theta)[0].T
 
 
 def outputs_at_samples(
@@ -50,7 +50,7 @@ def output_slopes(
     slopes = model.built(
         "output slopes", lambda: with_slopes(model.output(), "x", "theta")
     )
-    _, *parts = at_nodes(slopes, grid.driven(model, theta), x.T, theta)
+    _, *parts = at_nodes(slopes, grid.driven(model, theta), x, theta)
     shape = (grid.n_nodes, model.n_states)
     return OutputSlopes(*(one.T.reshape(*shape, len(one) // shape[1]) for one in parts))
 
