@@ -15,14 +15,14 @@
 7. Pruning, where it is asked for.
 """
 
-from contextlib import closing, suppress
+from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from phsi_opt.data.noise import LEAST_SIZE
-from phsi_opt.errors import SolveError
 from phsi_opt.estimation.corners import sharpened
 from phsi_opt.estimation.estimate import pruned
 from phsi_opt.estimation.fit import Fit
@@ -32,7 +32,6 @@ from phsi_opt.estimation.likelihood_problem import (
     StartingPoint,
     likeliest,
 )
-from phsi_opt.estimation.missing_force import smoothed
 from phsi_opt.estimation.optimum_checks import finer_steps, residual_warnings
 from phsi_opt.estimation.phsi_solve import PHSISolver, best_of_starts
 from phsi_opt.initialization.relative_guesses import (
@@ -179,21 +178,18 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
     grid = task.grid
     lengths = [run.n_samples for run in task.data.trajectories]
     has_states = list(map(len, start.states)) == lengths
-    x = np.nan_to_num(grid.y)
     if has_states:
         # Those that the model has too.
         fitted = start.model.states
         common = [fitted.index(name) for name in task.model.states if name in fitted]
         x = np.concatenate(start.states)[:, common]
+    else:
+        x = np.concatenate(states_at(problem, start.values))
     model = resolve_guesses(task.model, grid, x)
     unknown = Theta.of(task.model, task.runs)
     theta = unknown.from_values(start.estimates, unknown.spread(model.theta))
-    if has_states:
-        # The memory of an effect that the fit did not have follows from its states.
-        parameters = unknown.by_trajectory(theta)
-        states = grid.split(with_memory(model, grid, x, parameters))
-    else:
-        states = states_at(problem, model, theta, sigma)
+    # The memory of an effect that the fit did not have follows from its states.
+    x = with_memory(model, grid, x, unknown.by_trajectory(theta))
     has_steps = [len(n) + 1 for n in start.steps] == lengths
     keeps_steps = has_steps and problem.loss.steps is None
     # What solved the fit will solve a model of the same corners.
@@ -202,7 +198,7 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
     return StartingPoint(
         model=model,
         theta=theta,
-        states=states,
+        states=grid.split(x),
         sigma=sigma,
         steps=start.steps if keeps_steps else (),
         held=start.outcome.at_bounds,
@@ -211,30 +207,13 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
 
 
 def states_at(
-    problem: LikelihoodProblem, model: Model, theta: np.ndarray, sigma: np.ndarray
+    problem: LikelihoodProblem, values: Mapping[str, float]
 ) -> tuple[np.ndarray, ...]:
-    """States at the samples for given parameters, (n_samples, n_states) per trajectory.
-
-    The data where they are complete, else smoothed with a missing force, beginning with
-    noise sigma (n_states,), at parameters theta (n_theta,).
-
-    Raises:
-        SolveError: if the smoothing fails.
-    """
-    grid = problem.task.grid
-    if grid.measured.all() and not model.sensor:
-        return grid.split(grid.y)
-    found = smoothed(
-        model,
-        grid,
-        sigma,
-        Theta.of(model, problem.task.runs).by_trajectory(theta),
-        rounds=1,
-        known_noise=problem.noise.is_known,
-        integrator=problem.loss.integrator,
-        least_noise=problem.noise.least,
-    )
-    return grid.split(found.x)
+    """Those of the crude start, at values by name of the parameters that are free."""
+    model = problem.task.model
+    known = {name: values[name] for name in model.free if name in values}
+    task = replace(problem.task, model=model.with_values(known))
+    return crude_start(replace(problem, task=task)).states
 
 
 # ---- several starts ------------------------------------------------------------------
@@ -274,10 +253,8 @@ def _optimum_at(
     problem = replace(problem, task=replace(problem.task, say=say))
     if theta is None:
         return problem.solve_from(first)
-    states = first.states
-    # Far from the data there may be no states; then those of the first point.
-    with suppress(SolveError):
-        states = states_at(problem, first.model, theta, first.sigma)
+    means = Theta.of(first.model, problem.task.runs).means(theta).tolist()
+    states = states_at(problem, dict(zip(first.model.free, means, strict=True)))
     moved = replace(first, theta=theta, states=states, is_optimum=False)
     return problem.solve_from(moved)
 

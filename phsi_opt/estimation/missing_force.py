@@ -9,8 +9,6 @@ until the sizes settle.
 
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -27,22 +25,21 @@ from phsi_opt.model_error.ascent import SETTLED_EVIDENCE, climbed
 from phsi_opt.model_error.disturbances import Coordinates, Disturbances, Process
 from phsi_opt.model_error.joint_estimate import (
     NEARLY_HELD,
-    STEPS_OF_A_PROBLEM,
     JointEstimate,
-    JointPoint,
     JointProblem,
 )
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import ForcePosterior
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.integrators import SCHEME
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Point, Theta
 
-Known = bool | np.ndarray  # whether the noise is known, of all states or of each
 Forces = tuple[Process, ...]
 
 NO_PARAMETERS = np.zeros(0, dtype=int)  # that are free to move
-ROUNDER = (1.0, 4.0, 16.0, 64.0)  # factors on the width of corners that are too sharp
+ROUNDS_OF_A_SEARCH = 3  # of steps with given sizes, each followed by better sizes
+ROUNDER = (4.0, 16.0, 64.0)  # factors on the width of corners that are too sharp
 # Estimated noise over the scatter of neighbouring samples from which a sensor is
 # doubted: it contradicts another one, which no force explains.
 DOUBTFUL_NOISE = 1.5
@@ -120,114 +117,50 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     is_given = noise.is_known
     scatter = noise.sigma
     model = fit.model
-    theta = None
-    if fit.by_trajectory:
-        theta = parameter_matrix(model, parameters_of(fit, data))
+    unknown = Theta.of(model, [run.name for run in data.trajectories])
+    theta = unknown.stacked(parameter_matrix(model, parameters_of(fit, data)))
+    point = first_point(model, grid)
+    measured = grid.measured_states
     lasting = lasting_noise(fit.model_error_rows, model.states, longest_noise(grid))
-    search = partial(
-        smoothed,
-        model,
-        grid,
-        theta=theta,
-        known_noise=is_given,
-        sensors=tuple(error for error in lasting if not is_given[error.place]),
+    search = _Search(
+        unknown=unknown,
+        grid=grid,
+        point=replace(point, theta=theta, theta_scale=np.ones(len(unknown))),
+        channels=tuple(np.flatnonzero(measured & ~is_given).tolist()),
         least_noise=noise.least,
     )
-    estimate = search(initial_noise(data, np.where(is_given, scatter, np.nan)))
-    measured = grid.measured_states
+    first = Disturbances(
+        sigma=initial_noise(data, np.where(is_given, scatter, np.nan)),
+        forces=generous_force(model, grid, point),
+        sensors=tuple(error for error in lasting if not is_given[error.place]),
+    )
+    estimate = search.begun_at(first)
 
     def is_doubtful(found: ForceEstimate) -> bool:
         return bool(np.any(measured & (found.white > DOUBTFUL_NOISE * scatter)))
 
     if is_doubtful(estimate):
         rates = np.sqrt(np.mean(grid.rates(estimate.x) ** 2, axis=0))
-        sizes = np.maximum(rates[list(estimate.rows)], estimate.size)
         larger = []
-        forces = estimate.disturbances.forces
-        for force, size in zip(forces, sizes.tolist(), strict=True):
+        for force in estimate.disturbances.forces:
+            size = max(float(rates[force.place]), force.size)
             larger.append(replace(force, size=SIZE_OF_SECOND_SEARCH * size))
         with suppress(SolveError):
-            second = search(scatter, forces=tuple(larger))
-            estimate = max(
-                estimate, second, key=lambda found: found.posterior.log_evidence
-            )
+            larger_first = replace(first, sigma=scatter, forces=tuple(larger))
+            second = search.begun_at(larger_first)
+            if second.posterior.log_evidence > estimate.posterior.log_evidence:
+                estimate = second
     contradiction_is_possible = measured.sum() > 1
     if contradiction_is_possible and is_doubtful(estimate):
         with suppress(SolveError):
-            return smoothed(model, grid, scatter, theta, known_noise=True)
+            of_scatter = replace(first, sigma=scatter, sensors=())
+            return replace(search, channels=()).begun_at(of_scatter)
     return estimate
 
 
 def longest_noise(grid: Grid) -> float:
     """Correlation time up to which an error of a sensor is noise."""
     return BRIEF_NOISE * float(np.median(grid.h))
-
-
-def smoothed(
-    model: Model,
-    grid: Grid,
-    sigma: np.ndarray,
-    theta: np.ndarray | None = None,
-    *,
-    forces: Forces | None = None,
-    **options: Any,
-) -> ForceEstimate:
-    """States, also unmeasured ones, and missing force at given parameters.
-
-    Where a corner of dry friction is too sharp for the search, it is rounded, and the
-    estimate says so: with a sharp one a search may end anywhere between the force it
-    began with and the one that is missing. Arguments are those of `estimate_force`,
-    with parameters theta (n_free,) or (n_free, n_trajectories), None: the model's own.
-
-    Raises:
-        SolveError: No force was found, with rounded corners either.
-    """
-    point = first_point(model, grid)
-    if theta is not None:
-        point = replace(point, theta=theta)
-    usual = generous_force(model, grid, point) if forces is None else forces
-    widths = {name: model.values[name] for name in corner_widths(model)}
-
-    def first_found(is_patient: bool) -> tuple[tuple[float, Forces], ForceEstimate]:
-        """The first attempt whose search ended well, else the first of all."""
-        unfinished = None
-        for factor, begun in attempts:
-            rounded = {}
-            if factor != 1:
-                rounded = {name: factor * width for name, width in widths.items()}
-            try:
-                estimate = estimate_force(
-                    model.with_values(rounded),
-                    grid,
-                    point,
-                    sigma,
-                    forces=begun,
-                    is_patient=is_patient,
-                    **options,
-                )
-            except SolveError as error:
-                failure = error
-                continue
-            found = (factor, begun), replace(estimate, rounded=rounded)
-            if estimate.has_converged:
-                return found
-            unfinished = unfinished or found
-        if unfinished is None:
-            raise failure
-        return unfinished
-
-    # Factors on the width of corners, and the forces to begin with; with a corner of
-    # the user's own, which is not known as one, a small force.
-    factors = ROUNDER if widths else ROUNDER[:1]
-    attempts = [*((one, usual) for one in factors), (1.0, _scaled(usual, 0.01))]
-    if widths:
-        # With a corner that can be rounded, patience is for when all else fails.
-        with suppress(SolveError):
-            attempt, estimate = first_found(is_patient=False)
-            if estimate.has_converged:
-                return estimate
-            attempts = [attempt]
-    return first_found(is_patient=True)[1]
 
 
 def generous_force(model: Model, grid: Grid, point: Point) -> Forces:
@@ -246,90 +179,121 @@ def generous_force(model: Model, grid: Grid, point: Point) -> Forces:
     return tuple(Process(row, float(size[row]), time) for row in forced_rows(model))
 
 
-def estimate_force(
-    model: Model,
-    grid: Grid,
-    point: Point,
-    sigma: np.ndarray,
-    *,
-    rounds: int = 3,
-    known_noise: Known = False,
-    forces: Forces,
-    sensors: tuple[Process, ...] = (),
-    integrator: str = "srk4",
-    least_noise: np.ndarray | float = 0.0,
-    is_patient: bool = True,
-) -> ForceEstimate:
-    """Estimate states and missing force, with sizes of force and noise by evidence.
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """A search for states and missing force beside parameters that stay."""
 
-    The parameters ``theta`` of the point stay. ``rounds`` solves at most are each
-    followed by updates of the sizes; unknown noise does not fall below ``least_noise``.
+    unknown: Theta  # the parameters
+    grid: Grid
+    point: Point  # where it begins, with their values
+    channels: tuple[int, ...]  # measured states whose noise is not known
+    least_noise: np.ndarray  # (n_states,) below which that does not fall
 
-    Raises:
-        SolveError: no states and force were found that obey the dynamics.
-    """
-    noise = np.tile(sigma, (grid.n_trajectories, 1))
-    disturbances = Disturbances(noise, forces, sensors)
-    is_open = grid.measured_states & ~np.broadcast_to(known_noise, len(sigma))
-    channels = tuple(np.flatnonzero(is_open).tolist())
-    # The likelihood at parameters that stay.
-    unknown = Theta.of(model, list(map(str, range(grid.n_trajectories))))
-    theta = point.theta
-    if theta.ndim == 2:
-        theta = unknown.stacked(theta)
-    point = replace(point, theta=theta, theta_scale=np.ones(len(unknown)))
-    values = LikelihoodValues(model, grid, integrator, point, unknown)
-    linearizer = Linearizer(values)
-    last: JointPoint | None = None
+    def begun_at(self, first: Disturbances) -> ForceEstimate:
+        """States and force from disturbances to begin with, of noise (n_states,).
 
-    def solved(
-        start: JointPoint | None, most_steps: int = STEPS_OF_A_PROBLEM
-    ) -> JointEstimate:
-        problem = JointProblem(linearizer, disturbances, NO_PARAMETERS)
-        z = point.scaled if start is None else start.z
-        return problem.optimum(z, most_steps, start)
+        Where a corner of dry friction is too sharp for the search, it is rounded, and
+        the estimate says so: with a sharp one a search may end anywhere between the
+        force it began with and the one that is missing.
 
-    for n_left in reversed(range(rounds)):
-        found = solved(last)
-        if _is_lost(found):
-            # A force large enough lets the states follow the data, whatever the model.
-            larger = _scaled(disturbances.forces, 100.0)
-            disturbances = replace(disturbances, forces=larger)
-            found = solved(None)
-        is_unfinished = n_left == 0 and not found.has_converged
-        if is_patient and (_is_lost(found) or is_unfinished):
-            found = solved(found.point, 200)
-        if _is_lost(found):
-            raise SolveError(
-                "the missing force could not be estimated: no states satisfy the "
-                f"model with a force (largest violation {found.violation:.2g} after "
-                f"{found.n_steps} steps); choose other starting values, or smooth "
-                "sharp corners in the model."
-            )
-        last = found.point
-        # Sizes of the largest marginal likelihood at the solution.
-        coordinates = Coordinates(
-            origin=disturbances,
-            channels=channels,
-            least_noise=np.broadcast_to(least_noise, len(sigma)),
-            fixed_times=True,
+        Raises:
+            SolveError: No force was found, with rounded corners either.
+        """
+        model = self.unknown.model
+        widths = corner_widths(model)
+        first = replace(
+            first, sigma=np.tile(first.sigma, (self.grid.n_trajectories, 1))
         )
-        sized = climbed(found.likelihood, coordinates, channels, most_steps=8)
-        disturbances = coordinates.at(sized.vector)
-        if sized.gain < SETTLED_EVIDENCE and found.has_converged:
-            break
-    n_forces = len(forces) * grid.n_intervals
-    return ForceEstimate(
-        x=point.unscaled(found.point.z)["x"],
-        w=found.point.processes[:n_forces].reshape(len(forces), -1).T,
-        grid=grid,
-        posterior=ForcePosterior(found.likelihood, disturbances),
-        has_converged=found.has_converged,
-    )
+        # Widths of corners, and what to begin with; with a corner of the user's own,
+        # which is not known as one, a small force.
+        attempts: list[tuple[dict[str, float], Disturbances]] = [({}, first)]
+        for factor in ROUNDER if widths else ():
+            rounded = {name: factor * model.values[name] for name in widths}
+            attempts.append((rounded, first))
+        attempts.append(({}, _scaled(first, 0.01)))
+        # With a corner that can be rounded, patience is for when all else fails.
+        for is_patient in (False, True) if widths else (True,):
+            unfinished = []
+            for attempt in attempts:
+                try:
+                    estimate = self.estimate(*attempt, is_patient)
+                except SolveError as error:
+                    failure = error
+                    continue
+                if estimate.has_converged:
+                    return estimate
+                unfinished.append((attempt, estimate))
+            if unfinished:
+                attempts = [unfinished[0][0]]
+        if not unfinished:
+            raise failure
+        return unfinished[0][1]
+
+    def estimate(
+        self, rounded: dict[str, float], first: Disturbances, is_patient: bool
+    ) -> ForceEstimate:
+        """States and missing force, with sizes of force and noise by evidence.
+
+        Solves are each followed by better sizes.
+
+        Raises:
+            SolveError: no states and force were found that obey the dynamics.
+        """
+        grid = self.grid
+        point = self.point
+        model = self.unknown.model.with_values(rounded)
+        values = LikelihoodValues(model, grid, SCHEME, point, self.unknown)
+        problem = JointProblem(Linearizer(values), first, NO_PARAMETERS)
+        last = None
+        z = point.scaled
+        for n_left in reversed(range(ROUNDS_OF_A_SEARCH)):
+            found = problem.optimum(z, beside=last)
+            if _is_lost(found):
+                # A force large enough lets the states follow the data, whatever the
+                # model.
+                larger = _scaled(problem.disturbances, 100.0)
+                problem = replace(problem, disturbances=larger)
+                found = problem.optimum(point.scaled)
+            is_unfinished = n_left == 0 and not found.has_converged
+            if is_patient and (_is_lost(found) or is_unfinished):
+                found = problem.optimum(found.point.z, 200, found.point)
+            if _is_lost(found):
+                raise SolveError(
+                    "the missing force could not be estimated: no states satisfy the "
+                    f"model with a force (largest violation {found.violation:.2g} "
+                    f"after {found.n_steps} steps); choose other starting values, or "
+                    "smooth sharp corners in the model."
+                )
+            last = found.point
+            z = last.z
+            # Sizes of the largest marginal likelihood at the solution.
+            coordinates = Coordinates(
+                origin=problem.disturbances,
+                channels=self.channels,
+                least_noise=self.least_noise,
+                fixed_times=True,
+            )
+            sized = climbed(found.likelihood, coordinates, self.channels, 8)
+            problem = replace(problem, disturbances=coordinates.at(sized.vector))
+            if sized.gain < SETTLED_EVIDENCE and found.has_converged:
+                break
+        n_forced = len(first.forces)
+        forces = found.point.processes[: n_forced * grid.n_intervals]
+        return ForceEstimate(
+            x=point.unscaled(z)["x"],
+            w=forces.reshape(n_forced, -1).T,
+            grid=grid,
+            posterior=ForcePosterior(found.likelihood, problem.disturbances),
+            rounded=rounded,
+            has_converged=found.has_converged,
+        )
 
 
-def _scaled(forces: Forces, factor: float) -> Forces:
-    return tuple(replace(force, size=factor * force.size) for force in forces)
+def _scaled(disturbances: Disturbances, factor: float) -> Disturbances:
+    """With forces of other sizes."""
+    forces = disturbances.forces
+    larger = tuple(replace(force, size=factor * force.size) for force in forces)
+    return replace(disturbances, forces=larger)
 
 
 def _is_lost(found: JointEstimate) -> bool:

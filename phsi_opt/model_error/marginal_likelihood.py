@@ -408,8 +408,8 @@ class MarginalLikelihood:
             upper = problem.curvature.of_states
             below = np.where(upper.row < upper.col, upper.data, 0.0)
             entries += [upper.data, below]
-        factors = self._chained(curvature, shift) if self._may_chain else None
-        factors = factors or Banded(self._layout, np.concatenate(entries))
+        chained = self._chained(curvature, shift) if self._may_chain else None
+        factors = chained or Banded(self._layout, np.concatenate(entries))
         right = self._right(weights)
         return OptimalitySystem(
             likelihood=self,

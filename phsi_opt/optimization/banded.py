@@ -167,8 +167,9 @@ class Passage:
         n_states: int,
     ) -> None:
         entries = slopes.tocoo()
-        row, column = entries.row % n_states, entries.col % n_states
-        self.rank = rank = np.argsort(neighbours_first(row, column, n_states))
+        state = entries.row % n_states
+        order = neighbours_first(state, entries.col % n_states, n_states)
+        self.rank = rank = np.argsort(order)
         self._n = n_states
         is_last = is_sample[begin + 1]
         sample = np.cumsum(is_sample) - 1

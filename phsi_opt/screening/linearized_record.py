@@ -26,9 +26,10 @@ from phsi_opt.model_error.marginal_likelihood import (
     MarginalLikelihood,
     OptimalitySystem,
 )
-from phsi_opt.screening.weighing import SCHEME, EvidenceRecord
+from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.integrators import SCHEME
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.sensors import outputs

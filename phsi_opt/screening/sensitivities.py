@@ -16,10 +16,10 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.optimization.bounded_step import bounded_least_squares
 from phsi_opt.screening.linearized_record import LinearizedRecord
-from phsi_opt.screening.weighing import SCHEME
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.augmented_states import MemoryIntegration
 from phsi_opt.transcription.defects import parameter_slopes
+from phsi_opt.transcription.integrators import SCHEME
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
 # Share of the diagonal that is added to the correlations of traces: two that are equal

@@ -43,10 +43,10 @@ from phsi_opt.model_error.marginal_likelihood import (
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import AlignedData, WithMeasurements
+from phsi_opt.transcription.integrators import SCHEME
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
 
-SCHEME = "srk4"  # the integrator of the dynamics
 MOST_ROUNDS = 6  # of steps with given sizes, each followed by better sizes
 STEPS_OF_A_ROUND = 12
 CLIMBS_OF_A_ROUND = 6  # steps of the sizes uphill

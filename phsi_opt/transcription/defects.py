@@ -32,10 +32,10 @@ def interval_arguments(grid: Grid, x: Any) -> list[Any]:
 
     The states x (n_states, n_nodes) are symbols or numbers.
     """
-    begin, end = _places(grid.begin, x), _places(grid.begin + 1, x)
+    x0 = x[:, _places(grid.begin, x)]
+    x1 = x[:, _places(grid.begin + 1, x)]
     t0 = grid.t[grid.begin]
-    known = [t0[None, :], grid.h[None, :], grid.u0.T, grid.u1.T]
-    return [x[:, begin], x[:, end], *known]
+    return [x0, x1, t0[None, :], grid.h[None, :], grid.u0.T, grid.u1.T]
 
 
 def _places(numbers: np.ndarray, values: Any) -> Any:

@@ -91,6 +91,7 @@ INTEGRATORS = {
         Integrator("srk4", 4, True, (FIRST_NODE, SECOND_NODE), (1, 1), _srk4),  # 5.11
     )
 }
+SCHEME = "srk4"  # of the dynamics where nobody chose one
 # For starting values: one evaluation of the right-hand side at states that are known,
 # so its defects are linear wherever the model is.
 STARTING_SCHEME = "midpoint"

@@ -29,6 +29,7 @@ from phsi_opt.transcription.defects import (
     symbols_in_intervals,
 )
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.integrators import SCHEME
 from phsi_opt.transcription.likelihood_values import (
     LikelihoodValues,
     constraint_curvature,
@@ -63,7 +64,7 @@ class PHSILoss:
         integrator: the integration scheme, whose errors in a step are the defects.
     """
 
-    integrator: str = "srk4"
+    integrator: str = SCHEME
 
     def program(
         self, model: Model, grid: Grid, point: Point, l1: Mapping[str, float]
@@ -118,7 +119,7 @@ class MaximumLikelihood:
     """
 
     noise: Mapping[str, float] | None = None
-    integrator: str = "srk4"
+    integrator: str = SCHEME
     steps: int | None = None
     huber: float | None = None
     starts: int = 1
