@@ -19,7 +19,6 @@ components: Lin, Biometrika 84, 1997).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 import scipy
@@ -175,7 +174,7 @@ def slopes(
     owner = np.r_[np.full(system.border.n_theta, -1), system.border.owner]
     n_functions = len(disturbances.functions)
     coefficients = [np.flatnonzero(owner == k) for k in range(n_functions)]
-    of_noise = _shifts_by_noise(system, [[channel] for channel in channels])
+    of_noise = _shifts_by_noise(system, channels)
     of_processes = [2 * one.mean for one in components]
     of_processes += [one.moved_by_time for one in components]
     effects = [one.site.effects for one in components] * 2
@@ -219,16 +218,12 @@ def slopes(
     return Slopes(log_evidence, total, (information + information.T) / 2)
 
 
-def _shifts_by_noise(
-    system: OptimalitySystem, groups: Sequence[Sequence[int]]
-) -> np.ndarray:
-    """How the data would move with the log noise of each group of channels."""
+def _shifts_by_noise(system: OptimalitySystem, channels: Sequence[int]) -> np.ndarray:
+    """How the data would move with the log noise of each channel."""
     problem = system.problem
-    shifts = np.zeros((problem.n_values + len(problem.offset), len(groups)))
-    for column, channels in zip(shifts.T, groups, strict=True):
-        is_in = np.isin(problem.channel, channels)
-        column[: problem.n_values] = np.where(is_in, 2 * system.residual, 0.0)
-    return shifts
+    is_own = problem.channel[:, None] == np.array(channels, dtype=int)
+    shifts = np.where(is_own, 2 * system.residual[:, None], 0.0)
+    return np.pad(shifts, ((0, len(problem.offset)), (0, 0)))
 
 
 # --- Steps
@@ -330,96 +325,91 @@ def _newton_step(here: Slopes, moves: np.ndarray, damping: float) -> np.ndarray:
 # --- Processes that are not there yet
 
 
-M = TypeVar("M")
-
-
-class ScoreTest:
-    """What the evidence would gain by processes, from white noise alone.
+def first_gains(
+    system: OptimalitySystem,
+    channels: Sequence[int],
+    forces: Sequence[Process],
+    sensors: Sequence[Process],
+    is_tied: bool,
+) -> tuple[float, float]:
+    """Gain of the log evidence by the first step, by forces, and by sensors.
 
     Args:
         system: white noise, without processes or functions.
         channels: states whose noise is estimated, and follows the processes.
+        forces: that could act; sizes matter only beside each other, where tied.
+        sensors: processes that could add to what is shown.
         is_tied: whether the sizes of one kind share a factor, as in a search over many.
     """
+    problem = system.problem
+    sites = [problem.site_of_force(one.place) for one in forces]
+    sites += [problem.site_of_sensor(one.place) for one in sensors]
+    components = []
+    for process, site in zip([*forces, *sensors], sites, strict=True):
+        components.append(Component.of(process, site, system.projected_data))
+    if not components:
+        return 0.0, 0.0
+    # Of every kind the first component; what shares a factor follows it.
+    n_forces = len(_firsts(forces, is_tied))
+    firsts = np.r_[_firsts(forces, is_tied), len(forces) + _firsts(sensors, is_tied)]
+    noises = _shifts_by_noise(system, channels)
+    if is_tied:
+        noises = noises.sum(axis=1, keepdims=True)
+    information = _information(system, components, firsts, noises)
+    sizes = np.sqrt(np.maximum(np.diag(information), TINY))
+    slopes = _slopes_at_zero(system, components, firsts, sizes)
+    with np.errstate(over="ignore"):  # a component that leaves no trace
+        correlation = np.clip(information / np.outer(sizes, sizes), -1.0, 1.0)
+    return (
+        _gain(slopes[:n_forces], correlation[:n_forces, :n_forces]),
+        _gain(slopes[n_forces:], correlation[n_forces:, n_forces:]),
+    )
 
-    def __init__(
-        self, system: OptimalitySystem, channels: Sequence[int], is_tied: bool
-    ) -> None:
-        self._system = system
-        self._is_tied = is_tied
-        self._noises = _shifts_by_noise(system, self._kinds(list(channels)))
 
-    def _kinds(self, members: list[M]) -> list[list[M]]:
-        """Members that share a factor together, else each by itself."""
-        if self._is_tied:
-            return [members] if members else []
-        return [[member] for member in members]
+def _firsts(members: Sequence[Process], is_tied: bool) -> np.ndarray:
+    """Places of the members with which a kind begins: where tied they are one kind."""
+    return np.arange(len(members[:1] if is_tied else members))
 
-    def gains(
-        self, forces: Sequence[Process], sensors: Sequence[Process]
-    ) -> tuple[float, float]:
-        """Gain of the log evidence by the first step, by forces, and by sensors.
 
-        Args:
-            forces: that could act; sizes matter only beside each other, where tied.
-            sensors: processes that could add to what is shown.
-        """
-        problem = self._system.problem
-        data = self._system.projected_data
-        of_forces, of_sensors = [], []
-        for one in forces:
-            of_forces.append(Component.of(one, problem.site_of_force(one.place), data))
-        for one in sensors:
-            site = problem.site_of_sensor(one.place)
-            of_sensors.append(Component.of(one, site, data))
-        kinds = self._kinds(of_forces) + self._kinds(of_sensors)
-        if not kinds:
-            return 0.0, 0.0
-        information = self.information(kinds)
-        sizes = np.sqrt(np.maximum(np.diag(information), TINY))
-        slopes = self.slopes(kinds, sizes)
-        with np.errstate(over="ignore"):  # a component that leaves no trace
-            correlation = np.clip(information / np.outer(sizes, sizes), -1.0, 1.0)
-        n = len(self._kinds(of_forces))
-        return (
-            _gain(slopes[:n], correlation[:n, :n]),
-            _gain(slopes[n:], correlation[n:, n:]),
-        )
+def _information(
+    system: OptimalitySystem,
+    components: Sequence[Component],
+    firsts: np.ndarray,
+    noises: np.ndarray,
+) -> np.ndarray:
+    """Average information about the variance of each kind, noises following."""
+    shifts = np.array([one.site.effects @ one.mean for one in components])
+    columns = np.hstack([noises, np.add.reduceat(shifts, firsts).T])
+    products = columns.T @ system.projected(columns)
+    products = (products + products.T) / 4
+    n = noises.shape[1]
+    of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
+    mixed = products[n:, :n]
+    information: np.ndarray = products[n:, n:] - mixed @ of_noise @ mixed.T
+    return information
 
-    def information(self, kinds: list[list[Component]]) -> np.ndarray:
-        """Average information about the variance of each kind, noises following."""
-        shifts = [*self._noises.T]
-        for kind in kinds:
-            shifts.append(np.sum([one.site.effects @ one.mean for one in kind], axis=0))
-        columns = np.array(shifts).T
-        products = columns.T @ self._system.projected(columns)
-        products = (products + products.T) / 4
-        n = self._noises.shape[1]
-        of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
-        mixed = products[n:, :n]
-        information: np.ndarray = products[n:, n:] - mixed @ of_noise @ mixed.T
-        return information
 
-    def slopes(self, kinds: list[list[Component]], sizes: np.ndarray) -> np.ndarray:
-        """Slopes of the log evidence in the variance of each kind, over given sizes."""
-        lengths = tuple(len(one.normals) for kind in kinds for one in kind)
-        signs = iter(random_signs(lengths, N_SIGNS))
-        own = [[next(signs) for _ in kind] for kind in kinds]
-        signals = 0.0
-        for kind, drawn, size in zip(kinds, own, sizes, strict=True):
-            for one, signs_of_one in zip(kind, drawn, strict=True):
-                signals = signals + one.signal(signs_of_one) / np.sqrt(size)
-        projected = self._system.projected(np.asarray(signals))
-        found = []
-        for kind, drawn, size in zip(kinds, own, sizes, strict=True):
-            squares = sum(one.squares for one in kind)
-            by_chance = 0.0
-            for one, signs_of_one in zip(kind, drawn, strict=True):
-                products = signs_of_one * one.pulled(projected)
-                by_chance += float(np.sum(products)) / np.sqrt(size) / N_SIGNS
-            found.append((squares / size - by_chance) / 2)
-        # That of a channel whose residuals are zero is beyond numbers.
-        return np.maximum(found, -1e6)
+def _slopes_at_zero(
+    system: OptimalitySystem,
+    components: Sequence[Component],
+    firsts: np.ndarray,
+    sizes: np.ndarray,
+) -> np.ndarray:
+    """Slopes of the log evidence in the variance of each kind, over given sizes."""
+    signs = random_signs(tuple(len(one.normals) for one in components), N_SIGNS)
+    owner = np.searchsorted(firsts, np.arange(len(components)), side="right") - 1
+    roots = np.sqrt(sizes[owner])
+    signals = 0.0
+    for one, drawn, root in zip(components, signs, roots, strict=True):
+        signals = signals + one.signal(drawn) / root
+    projected = system.projected(np.asarray(signals))
+    by_chance = []
+    for one, drawn in zip(components, signs, strict=True):
+        by_chance.append(np.sum(drawn * one.pulled(projected)) / N_SIGNS)
+    squares = np.add.reduceat([one.squares for one in components], firsts) / sizes
+    found = (squares - np.add.reduceat(by_chance / roots, firsts)) / 2
+    # That of a channel whose residuals are zero is beyond numbers.
+    return np.maximum(found, -1e6)
 
 
 def _gain(slopes: np.ndarray, information: np.ndarray) -> float:

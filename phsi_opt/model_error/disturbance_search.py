@@ -14,7 +14,7 @@ import numpy as np
 
 from phsi_opt.criteria import STRONG_EVIDENCE
 from phsi_opt.errors import SolveError
-from phsi_opt.model_error.ascent import LEAST_GAIN, MOST_STEPS, ScoreTest, climbed
+from phsi_opt.model_error.ascent import LEAST_GAIN, MOST_STEPS, climbed, first_gains
 from phsi_opt.model_error.disturbances import (
     MOST_SIZES,
     Coordinates,
@@ -135,10 +135,11 @@ class DisturbanceSearch:
             len(self.problem.forced), len(np.unique(self.problem.channel))
         )
         is_tied = len(self.channels) + n_processes > MOST_SIZES
-        test = ScoreTest(system.without_functions(), self.channels, is_tied)
+        alone = system.without_functions()
         gains = []
         for time in self.first_times():
-            gains.append(test.gains(self._forces(1.0, time), self._sensors(1.0, time)))
+            processes = (self._forces(1.0, time), self._sensors(1.0, time))
+            gains.append(first_gains(alone, self.channels, *processes, is_tied))
         by_forces, by_sensors = np.max(gains, axis=0)
         share = PROMISING_SHARE_TIED if is_tied else PROMISING_SHARE
         limit = share * STRONG_EVIDENCE

@@ -221,15 +221,6 @@ class Disturbances:
         return np.array([function.size for function in self.functions])
 
     @property
-    def structure(self) -> tuple[tuple[object, ...], ...]:
-        """Which forces, sensors and functions there are, without their sizes."""
-        return (
-            tuple(force.place for force in self.forces),
-            tuple(sensor.place for sensor in self.sensors),
-            tuple((f.equation, f.state) for f in self.functions),
-        )
-
-    @property
     def is_white(self) -> bool:
         """Whether there is white noise and nothing else."""
         return not (self.processes or self.functions)
