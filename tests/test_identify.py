@@ -11,7 +11,6 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.estimation import likelihood_estimate
 from phsi_opt.model_error.standard_errors import (
-    PlainEstimate,
     StandardErrors,
     standard_errors,
 )
@@ -136,9 +135,9 @@ def test_two_runs_agree_to_the_last_bit_and_work_out_errors_when_they_are_asked_
 ) -> None:
     calls = []
 
-    def counted(plain: PlainEstimate) -> StandardErrors:
+    def counted(**known: Any) -> StandardErrors:
         calls.append(1)
-        return standard_errors(plain)
+        return standard_errors(**known)
 
     monkeypatch.setattr(likelihood_estimate, "standard_errors", counted)
     fit = ph.identify(spring(), positions_only())

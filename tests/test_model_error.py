@@ -146,7 +146,7 @@ def forced_fit(seed: int) -> ph.Fit:
 def search_of(seed: int) -> DisturbanceSearch:
     estimate = estimated(record(seed), ph.MaximumLikelihood())
     assert isinstance(estimate, LikelihoodEstimate)
-    return estimate.plain.search
+    return estimate.plain_search
 
 
 def widening(fit: ph.Fit) -> np.ndarray:
@@ -228,7 +228,9 @@ def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(huber) ->
         data = simulated(seed, n=80, runs=24, size=0.0)
         estimate = estimated(data, ph.MaximumLikelihood(huber=huber))
         assert isinstance(estimate, LikelihoodEstimate)
-        clusters = estimate.plain.clusters
+        clusters = Clusters.of_white(
+            estimate.plain_search, estimate.share_within, estimate.score_variance
+        )
         agreement.append(clusters.agreement())
         scale = estimate.point.theta_scale
         std_errors = np.sqrt(np.diag(clusters.jackknife())) * scale
@@ -548,7 +550,7 @@ def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() ->
     assert "forces" in search_of(0).promising
     nothing = estimated(simulated(0, size=0.0), ph.MaximumLikelihood())
     assert isinstance(nothing, LikelihoodEstimate)
-    assert not nothing.plain.search.is_promising
+    assert not nothing.plain_search.is_promising
 
 
 @cache
@@ -557,7 +559,7 @@ def search_of_a_chain() -> DisturbanceSearch:
     chain = chains.model(10)
     estimate = estimated(chains.data(10, 200), ph.MaximumLikelihood(), chain)
     assert isinstance(estimate, LikelihoodEstimate)
-    return estimate.plain.search
+    return estimate.plain_search
 
 
 def test_many_channels_promise_nothing_by_their_number() -> None:

@@ -20,7 +20,7 @@ from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.model_error import ascent
-from phsi_opt.model_error.disturbance_search import BRIEF_GAIN
+from phsi_opt.model_error.disturbance_search import BRIEF_GAIN, DisturbanceSearch
 from phsi_opt.model_error.disturbances import (
     Coordinates,
     Disturbances,
@@ -29,7 +29,7 @@ from phsi_opt.model_error.disturbances import (
 )
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
-from phsi_opt.model_error.standard_errors import PlainEstimate, covariance_under
+from phsi_opt.model_error.standard_errors import covariance_under
 from phsi_opt.optimization.bounded_step import REGULAR
 from phsi_opt.transcription.grid import AlignedData
 
@@ -104,8 +104,8 @@ def estimate_of(name: str) -> LikelihoodEstimate:
 
 
 @cache
-def plain_of(name: str) -> PlainEstimate:
-    return estimate_of(name).plain
+def search_of(name: str) -> DisturbanceSearch:
+    return estimate_of(name).plain_search
 
 
 @cache
@@ -113,7 +113,7 @@ def problem_of(name: str) -> Linearization:
     """One interval between samples, or all the steps of the integration."""
     if name == "several runs, all steps":
         return estimate_of("several runs").linearized()
-    return plain_of(name).search.problem
+    return search_of(name).problem
 
 
 # --- Dense algebra: shown = M (starting states, parameters) + Gaussian errors

@@ -38,7 +38,6 @@ from phsi_opt.model_error.marginal_likelihood import (
 )
 from phsi_opt.model_error.standard_errors import (
     Clusters,
-    PlainEstimate,
     Source,
     Spread,
     StandardErrors,
@@ -191,15 +190,9 @@ class LikelihoodEstimate(Estimate):
         return [i for i, name in enumerate(self.unknown.names) if name in at_bounds]
 
     @property
-    def plain(self) -> PlainEstimate:
-        """The estimate as one that counts residuals as white noise."""
-        return PlainEstimate(
-            search=self.search(self._counted.between_samples()),
-            covariance=regularized_inverse(self.reduced.information, self.held),
-            is_shared=self.unknown.is_shared,
-            within=self.share_within,
-            score_variance=self.score_variance,
-        )
+    def plain_search(self) -> DisturbanceSearch:
+        """The search on the record linearised here, an interval between samples."""
+        return self.search(self._counted.between_samples())
 
     def search(self, problem: Linearization) -> DisturbanceSearch:
         """The search for what acts besides the model, from the noise of the solution.
@@ -225,7 +218,13 @@ class LikelihoodEstimate(Estimate):
         """Those that count model error; None where there are no standard errors."""
         if not self.is_success or self.has_l1 or not len(self.theta):
             return None
-        return standard_errors(self.plain)
+        return standard_errors(
+            search=self.plain_search,
+            covariance=regularized_inverse(self.reduced.information, self.held),
+            is_shared=self.unknown.is_shared,
+            within=self.share_within,
+            score_variance=self.score_variance,
+        )
 
     def covariance_by(self, spread: Spread | None) -> np.ndarray:
         """In the parameters' units, NaN where noise alone gives none."""
@@ -351,7 +350,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     began = time.perf_counter()
     task = plain.task
     task.say("estimating the model error")
-    disturbances = plain.plain.search.found().disturbances
+    disturbances = plain.plain_search.found().disturbances
     search = plain.search(replace(plain.linearized(), linear_share=0.0))
     values = plain.likelihood
     linearizer = Linearizer(values)

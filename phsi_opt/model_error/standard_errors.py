@@ -82,6 +82,21 @@ class Clusters:
             n_theta=borders[0].n_theta,
         )
 
+    @classmethod
+    def of_white(
+        cls, search: DisturbanceSearch, within: float, score_variance: float
+    ) -> "Clusters":
+        """Of an estimate by white noise; arguments as those of `standard_errors`.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        white = Disturbances(search.plain)
+        borders = search.likelihood(white).at(white, REGULAR).borders_by_trajectory()
+        found = cls.of(borders, np.zeros(len(search.moving)))
+        information = within * found.information
+        return replace(found, information=information, score_variance=score_variance)
+
     @property
     def _everything(self) -> np.ndarray:
         everything: np.ndarray = self.information.sum(axis=0) + self.prior
@@ -180,50 +195,7 @@ def are_independent(problem: Linearization) -> bool:
     )
 
 
-# --- Of a plain estimate
-
-
-@dataclass(frozen=True, eq=False)
-class PlainEstimate:
-    """An estimate that counts residuals as white noise."""
-
-    search: DisturbanceSearch  # for disturbances, on its linearised likelihood
-    # (n_theta, n_theta) of the scaled parameters, from noise alone.
-    covariance: np.ndarray
-    is_shared: bool  # whether all trajectories share all parameters
-    within: float = 1.0  # share of the residuals that are not cut by Huber's loss
-    # Variance of the scores over the information that the residuals within carry; one
-    # where none is cut.
-    score_variance: float = 1.0
-
-    @property
-    def white(self) -> Disturbances:
-        """Noise of the plain likelihood."""
-        return Disturbances(self.search.plain)
-
-    @property
-    def response(self) -> np.ndarray:
-        """How it answers errors.
-
-        Raises:
-            SolveError: the states do not follow from the data.
-        """
-        return self.search.likelihood(self.white).at(self.white).response / self.within
-
-    @property
-    def clusters(self) -> Clusters:
-        """The trajectories.
-
-        Raises:
-            SolveError: the states do not follow from the data.
-        """
-        system = self.search.likelihood(self.white).at(self.white, REGULAR)
-        borders = system.borders_by_trajectory()
-        found = Clusters.of(borders, np.zeros(len(self.search.moving)))
-        information = self.within * found.information
-        return replace(
-            found, information=information, score_variance=self.score_variance
-        )
+# --- Of an estimate that counts residuals as white noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,11 +212,26 @@ class StandardErrors:
         return self.spreads[self.source]
 
 
-def standard_errors(plain: PlainEstimate) -> StandardErrors:
-    """The standard errors of a plain estimate."""
-    search = plain.search
-    spreads = {Source.NOISE: Spread(plain.covariance, _noise_freedom(search.problem))}
-    found = plain.white
+def standard_errors(
+    search: DisturbanceSearch,
+    covariance: np.ndarray,
+    is_shared: bool,
+    within: float = 1.0,
+    score_variance: float = 1.0,
+) -> StandardErrors:
+    """The standard errors of an estimate that counts residuals as white noise.
+
+    Args:
+        search: for disturbances, on its linearised likelihood.
+        covariance: (n_theta, n_theta) of the scaled parameters, from noise alone.
+        is_shared: whether all trajectories share all parameters.
+        within: share of the residuals that are not cut by Huber's loss.
+        score_variance: of the scores over the information that the residuals within
+            carry; one where none is cut.
+    """
+    spreads = {Source.NOISE: Spread(covariance, _noise_freedom(search.problem))}
+    white = Disturbances(search.plain)
+    found = white
     source = Source.NOISE
     log_evidence = np.nan
     # Beyond what numbers hold are slopes of 1e300, noise of 1e-14.
@@ -253,17 +240,19 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
         if search.is_promising:
             best = search.found()
             if best.coordinates is not None:
-                spread = under_disturbances(search, plain.response, best)
+                response = search.likelihood(white).at(white).response / within
+                spread = under_disturbances(search, response, best)
                 spreads[Source.DISTURBANCES] = spread
                 found = best.disturbances
                 source = Source.DISTURBANCES
     with suppress(*beyond_numbers):
-        is_candidate = plain.is_shared and are_independent(search.problem)
-        if is_candidate and (clusters := plain.clusters).is_enough:
-            n_theta = len(plain.covariance)
-            spreads[Source.TRAJECTORIES] = clusters.spread(search.moving, n_theta)
-            if source == Source.DISTURBANCES or clusters.agreement() < CHANCE_LEVEL:
-                source = Source.TRAJECTORIES
+        if is_shared and are_independent(search.problem):
+            clusters = Clusters.of_white(search, within, score_variance)
+            if clusters.is_enough:
+                spread = clusters.spread(search.moving, len(covariance))
+                spreads[Source.TRAJECTORIES] = spread
+                if source == Source.DISTURBANCES or clusters.agreement() < CHANCE_LEVEL:
+                    source = Source.TRAJECTORIES
     with suppress(*beyond_numbers):
         log_evidence = search.likelihood(found).at(found).log_model_evidence
     return StandardErrors(source, spreads, found, log_evidence)
