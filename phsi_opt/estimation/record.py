@@ -255,46 +255,21 @@ def _likeliest_run(
 def _most_likely_states(
     record: Record, sigma: np.ndarray, guess: Sequence[np.ndarray]
 ) -> SmoothedStates | None:
-    """States by maximum likelihood, parameters per trajectory; None: not found."""
+    """States by maximum likelihood, parameters per trajectory; None: not found.
+
+    The steps are so fine that an accurate run agrees: from the first state it would
+    otherwise leave the others.
+    """
     fit = record.fit
-    data = record.data
-    steps = steps_on(fit, data)
-    own_names = record.estimated_here(fit.model)
-    if not own_names and not fit.by_trajectory:
-        model = fit.model.frozen()
-        state = _accurate(fit, model, record.aligned, sigma, guess, steps)
-        if state is None:
-            return None
-        return SmoothedStates(state.states, record.parameters)
-    states: list[np.ndarray] = []
-    parameters: dict[str, Mapping[str, float]] = {}
-    for number, run in enumerate(data.trajectories):
-        known = record.parameters[run.name]
-        # Free is only what the trajectory has of its own, if unknown.
-        others = {name: v for name, v in known.items() if name not in own_names}
-        model = fit.model.with_values(known).with_fixed(others)
-        aligned = AlignedData.of(model, data[number])
-        own = slice(number, number + 1)
-        state = _accurate(fit, model, aligned, sigma, guess[own], steps[own])
-        if state is None:
-            return None
-        own_values = state.unknown.values_of(state.theta, run.name)
-        parameters[run.name] = {**known, **own_values}
-        states += state.states
-    return SmoothedStates(tuple(states), parameters)
-
-
-def _accurate(
-    fit: Fit,
-    model: Model,
-    aligned: AlignedData,
-    sigma: np.ndarray,
-    guess: Sequence[np.ndarray],
-    steps: Sequence[np.ndarray],
-) -> LikelihoodEstimate | None:
-    """The most likely states, with steps so fine that an accurate run agrees."""
-    # An accurate run from the first state would otherwise leave the others.
-    likely = partial(maximum_along, aligned, sigma, likelihood_of(fit), model)
+    model = fit.model
+    shared = dict(fit.values)
+    for name in model.free:
+        if model.entries[name].parameter.per_trajectory:
+            del shared[name]
+    model = model.with_fixed(shared)
+    steps = steps_on(fit, record.data)
+    along = (record.aligned, sigma, likelihood_of(fit), model)
+    likely = partial(maximum_along, *along, parameters=record.parameters)
     state = likely(guess, steps)
     for _ in range(STEP_REFINEMENTS):
         if state is None or FINER * state.nodes.size > MOST_REFINED_STATES:
@@ -303,12 +278,17 @@ def _accurate(
         size = np.sqrt(max(state.solution.outcome.objective, 1.0))
         if finer_steps(replace(state, sigma=size * state.sigma)) is None:
             break
-        steps = [FINER * n for n in steps]
+        steps = tuple(FINER * n for n in steps)
         refined = likely(state.states, steps)
         if refined is None:
             break
         state = refined
-    return state
+    if state is None:
+        return None
+    parameters = {}
+    for run, known in record.parameters.items():
+        parameters[run] = {**known, **state.unknown.values_of(state.theta, run)}
+    return SmoothedStates(state.states, parameters)
 
 
 def maximum_along(
@@ -318,17 +298,20 @@ def maximum_along(
     model: Model,
     states: Sequence[np.ndarray],
     steps: Sequence[np.ndarray],
+    parameters: Parameters | None = None,
 ) -> LikelihoodEstimate | None:
     """The likelihood's maximum along a record whose noise is known; None: not found.
 
     For what is asked of a fit afterwards: no windows, no finer steps, no pruning. From
-    the values of the model and the states at the samples, (n_samples, n_states) per
-    trajectory, with noise sigma (n_states,) and so many steps in every gap.
+    parameters (None: the values of the model) and states at the samples, (n_samples,
+    n_states) per trajectory, with noise sigma (n_states,) and so many steps in every
+    gap.
     """
     task = Task(model, aligned, l1={}, pruning=None, settings=BRIEF_SOLVE)
+    known = parameters or dict.fromkeys(task.runs, model.values)
     start = StartingPoint(
         model=model,
-        theta=Theta.of(model, task.runs).spread(model.theta),
+        theta=Theta.of(model, task.runs).stacked(parameter_matrix(model, known)),
         states=tuple(states),
         sigma=sigma,
         steps=tuple(steps),
