@@ -203,8 +203,7 @@ class Solver:
     Args:
         program: what to solve.
         settings: tolerance and limits.
-        exact: with the curvature of the constraints in the Hessian, where the program
-            knows it.
+        exact: with the curvature of the constraints in the Hessian.
     """
 
     def __init__(
@@ -215,7 +214,7 @@ class Solver:
     ) -> None:
         self.program = program
         self.limits = settings or SolverSettings()
-        self.is_exact = exact and program.curvature is not None
+        self.is_exact = exact
         problem: dict[str, Any] = {"x": program.z, "p": program.settings}
         problem |= {"f": program.objective, "g": program.g}
         self._listener = _Listener(program)

@@ -9,9 +9,8 @@ A loss adds named blocks of variables, residuals and constraints in the units of
 model. Variables are scaled where they enter, so that the solver sees numbers near one
 and its tolerance means the same for every block. The Hessian is Gauss-Newton's, J'J of
 the residuals: the curvature of the constraints is nearly all of the cost of the exact
-one, and of use only where residuals are large. A loss that knows it adds it as a second
-choice. Expressions and their derivatives are CasADi's (Andersson, Gillis, Horn,
-Rawlings and Diehl 2019).
+one, and of use only where residuals are large. Expressions and their derivatives are
+CasADi's (Andersson, Gillis, Horn, Rawlings and Diehl 2019).
 """
 
 from collections.abc import Callable, Mapping
@@ -56,8 +55,6 @@ class Program:
         scale: (n_variables,).
         bounds: lower and upper bounds of z, (2, n_variables).
         g_bounds: those of g, (2, n_constraints).
-        curvature: from the multipliers what the first constraints add to the Hessian,
-            upper triangle, in the first variables; None: not known.
     """
 
     def __init__(self) -> None:
@@ -67,8 +64,6 @@ class Program:
         self.cost = ca.MX(0)
         self.set_to = self.start = self.scale = np.zeros(0)
         self.bounds = self.g_bounds = np.zeros((2, 0))
-        self.curvature: Callable[[ca.MX], ca.MX] | None = None
-        self._jacobians: list[tuple[ca.MX, ca.MX | None]] = []
         self._dense_slopes: ca.MX | None = None
 
     def setting(self, name: str, value: np.ndarray) -> ca.MX:
@@ -120,13 +115,8 @@ class Program:
         expression: ca.MX,
         upper: float = 0.0,
         label: Label = str,
-        jacobian: ca.MX | None = None,
     ) -> None:
-        """Add 0 <= expression <= upper.
-
-        The expression is scaled by the caller to numbers near one. ``jacobian``, in the
-        first variables, scaled, is given where the caller knows a cheaper one.
-        """
+        """Add 0 <= expression <= upper, scaled by the caller to numbers near one."""
         column = ca.vec(expression)
         first = self.g.numel()
         place = slice(first, first + column.numel())
@@ -134,7 +124,6 @@ class Program:
         self.g = ca.vertcat(self.g, column)
         limits = np.tile([[0.0], [upper]], column.numel())
         self.g_bounds = np.hstack([self.g_bounds, limits])
-        self._jacobians.append((column, jacobian))
 
     def add_residual(self, expression: ca.MX, slopes: ca.MX | None = None) -> None:
         """Add 1/2 sum(expression^2) to the objective.
@@ -171,22 +160,14 @@ class Program:
 
     def jacobian(self) -> ca.Function:
         """Function (z, settings) -> g and its Jacobian."""
-        rows = [ca.MX(0, self.z.numel())]
-        for column, jacobian in self._jacobians:
-            if jacobian is None:
-                rows.append(ca.jacobian(column, self.z))
-            else:
-                n_others = self.z.numel() - jacobian.size2()
-                zeros = ca.MX(jacobian.size1(), n_others)
-                rows.append(ca.horzcat(jacobian, zeros))
-        both = [self.g, ca.vertcat(*rows)]
+        both = [self.g, ca.jacobian(self.g, self.z)]
         return ca.Function("jac_g", [self.z, self.settings], both)
 
     def hessian(self, exact: bool = False) -> ca.Function:
         """Function (z, settings, factor, multipliers) -> upper triangle of the Hessian.
 
-        An exact one has the curvature of the constraints, where it is known; that of
-        the residuals is zero but for sensors, which are linear or nearly so.
+        An exact one has the curvature of the constraints; that of the residuals is zero
+        but for sensors, which are linear or nearly so.
         """
         slopes = self._dense_slopes
         if slopes is None:
@@ -197,16 +178,13 @@ class Program:
             product = ca.mtimes(slopes.T, slopes, BLAS) * ca.mtimes(scale, scale.T)
         factor = ca.MX.sym("factor")
         multipliers = ca.MX.sym("lam", self.g.numel())
-        hessian = factor * self._of_all(ca.triu(product))
-        if exact and self.curvature is not None:
-            hessian = hessian + self._of_all(self.curvature(multipliers))
+        n_others = self.z.numel() - product.size1()
+        hessian = factor * ca.diagcat(ca.triu(product), ca.MX(n_others, n_others))
+        if exact:
+            curved = ca.hessian(ca.dot(multipliers, self.g), self.z)[0]
+            hessian = hessian + ca.triu(curved)
         arguments = [self.z, self.settings, factor, multipliers]
         return ca.Function("hessian", arguments, [hessian])
-
-    def _of_all(self, matrix: ca.MX) -> ca.MX:
-        """A square matrix of the first variables as one of all."""
-        n_others = self.z.numel() - matrix.size1()
-        return ca.diagcat(matrix, ca.MX(n_others, n_others))
 
     def values(self, z: np.ndarray) -> dict[str, np.ndarray]:
         """Unscaled values of every block of variables."""

@@ -3,16 +3,12 @@
 Full steps need numbers alone: defects and the output of the sensors with their slopes,
 each from one small function that is evaluated for all intervals, or nodes, together.
 Nothing is built but the places of the entries, and other noise asks for no evaluation.
-
-The program of the same likelihood is for solvers that want symbols (`losses`). Its
-Jacobian and curvature are put together here from the same blocks per interval, which
-costs a small part of an automatic differentiation of the whole.
+The program of the same likelihood is for solvers that want symbols (`losses`).
 """
 
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 import scipy
 
@@ -23,7 +19,6 @@ from phsi_opt.transcription.defects import (
     in_intervals,
     linear_defect,
     linear_function,
-    symbols_in_intervals,
 )
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Point, Theta
@@ -178,11 +173,6 @@ class LikelihoodValues:
         row, column = np.sort(places, axis=1).T
         return Pattern(row, column, (len(self.scale), len(self.scale)))
 
-    @cached_property
-    def curvature_factor(self) -> np.ndarray:
-        """Of each entry of `curvature`, by the sizes of its variables."""
-        return self.scale[self.curvature.rows] * self.scale[self.curvature.columns]
-
     def curvature_at(self, z: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
         """Second derivatives of multipliers'g at z, entries of `curvature`.
 
@@ -193,50 +183,6 @@ class LikelihoodValues:
         grid = self.grid.driven(self.model, theta)
         function = defect_curvature(self.model, self.scheme).function
         (entries,) = in_intervals(function, grid, x, theta, weighted.T)
-        return entries.T.ravel() * self.curvature_factor
-
-
-# ---- the same derivatives in symbols, for a program
-
-
-def constraint_jacobian(values: LikelihoodValues, x: ca.MX, theta: Any) -> ca.MX:
-    """Sparse Jacobian of the scaled defects in the scaled parameters and states.
-
-    States x are (n_states, n_nodes), parameters (n_free,) or (n_free, n_trajectories).
-    """
-    function = values.linear_defect.function
-    of_intervals = symbols_in_intervals(function, values.grid, x, theta)[1]
-    entries = ca.vec(of_intervals[:, values.order.tolist()].T)
-    pattern = values.jacobian
-    order = np.lexsort((pattern.rows, pattern.columns))  # as CasADi stores them
-    factor = ca.DM(values.factor.ravel()[order])
-    places = (pattern.rows[order].tolist(), pattern.columns[order].tolist())
-    sparsity = ca.Sparsity.triplet(*pattern.shape, *places)
-    return ca.MX(sparsity, entries[order.tolist()] * factor)
-
-
-def constraint_curvature(
-    values: LikelihoodValues, x: ca.MX, theta: Any, multipliers: ca.MX
-) -> ca.MX:
-    """What the scaled defects add to the Hessian of the Lagrangian, upper triangle.
-
-    Second derivatives per interval, summed where intervals share an unknown. The
-    multipliers of the defects are the first ones; else as `constraint_jacobian`.
-    """
-    grid = values.grid
-    n_states = values.n_states
-    of_defects = multipliers[: n_states * grid.n_intervals]
-    weighted = ca.reshape(of_defects, n_states, -1) * ca.DM(values.per_size.T)
-    function = defect_curvature(values.model, values.scheme).function
-    (entries,) = symbols_in_intervals(function, grid, x, theta, weighted)
-    # Each entry of the Hessian once, in CasADi's order, and the entries per interval
-    # that it sums up.
-    pattern = values.curvature
-    n_z = len(values.scale)
-    places = pattern.columns * n_z + pattern.rows
-    entry, where = np.unique(places, return_inverse=True)
-    summed = (values.curvature_factor, (where, np.arange(len(where))))
-    gather = scipy.sparse.csc_matrix(summed, shape=(len(entry), len(where)))
-    column, row = np.divmod(entry, n_z)
-    sparsity = ca.Sparsity.triplet(n_z, n_z, row.tolist(), column.tolist())
-    return ca.MX(sparsity, ca.mtimes(ca.DM(gather), ca.vec(entries.T)))
+        pattern = self.curvature
+        sizes = self.scale[pattern.rows] * self.scale[pattern.columns]
+        return entries.T.ravel() * sizes

@@ -30,11 +30,7 @@ from phsi_opt.transcription.defects import (
 )
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import SCHEME
-from phsi_opt.transcription.likelihood_values import (
-    LikelihoodValues,
-    constraint_curvature,
-    constraint_jacobian,
-)
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Point, Theta
 
 # Programs, each linear in delays of inputs beside where the last one ended, and the
@@ -175,9 +171,7 @@ class MaximumLikelihood:
             "defect",
             (d * ca.DM(values.per_size)).T,
             label=partial(grid.interval_label, n_states),
-            jacobian=constraint_jacobian(values, x, of_runs),
         )
-        program.curvature = partial(constraint_curvature, values, x, of_runs)
         # Row by row (n_nodes, n_states) is CasADi's order column by column.
         measured = np.flatnonzero(grid.measured.ravel()).tolist()
         shown = x
