@@ -124,25 +124,6 @@ def fit_of_task(
     return replace(fit, doubts=Later(partial(doubts_of, fit, task.aligned)))
 
 
-def identify_forced(
-    model: Model,
-    aligned: AlignedData,
-    loss: PHSILoss,
-    l1: Mapping[str, float] | float | None,
-    pruning: Pruning | None,
-    start: Fit | None = None,
-) -> Fit:
-    """`identify` by the PHSI loss, with inputs that only the layout of the data holds.
-
-    Raises:
-        SolveError: if the solver fails.
-    """
-    task = Task(model, aligned, l1_weights(l1), pruning, SolverSettings())
-    estimate = by_defects(task, loss, start)
-    _raise_failure(estimate)
-    return estimate.fit()
-
-
 def estimate_by(loss: Loss, task: Task, start: Fit | None) -> Estimate:
     """The estimate by a loss, solved in the way of its kind.
 

@@ -24,7 +24,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noticed import breaks_of
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.estimate import Task
-from phsi_opt.estimation.fit import SENSOR_ERROR, Fit, parameter_matrix, parameters_of
+from phsi_opt.estimation.fit import Fit, lasting_noise, parameter_matrix, parameters_of
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.missing_force import (
@@ -134,27 +134,26 @@ class Record(WithMeasurements):
         return np.maximum(sigma, of_fit)
 
     @property
+    def _brief_noise(self) -> int:
+        """Number of sensors whose errors last for a few samples, as the fit found."""
+        longest = longest_noise(self.grid)
+        rows = self.fit.model_error_rows
+        return len(lasting_noise(rows, self.model.states, longest))
+
+    @property
     def has_correlated_noise(self) -> bool:
         """Whether all disturbances are errors of sensors that last for a few samples.
 
-        As the fit found it: no force and no function of a state.
+        There is no force, and no function of a state.
         """
-        rows = self.fit.model_error_rows
-        if self.fit.has_model_error:
-            return False
-        errors = [row.time for row in rows if row.kind == SENSOR_ERROR]
-        others = [row for row in rows if row.kind != SENSOR_ERROR and row.time != 0]
-        return bool(errors) and not others and max(errors) <= longest_noise(self.grid)
+        n_lasting = sum(row.time != 0 for row in self.fit.model_error_rows)
+        is_brief = n_lasting == self._brief_noise
+        return not self.fit.has_model_error and n_lasting > 0 and is_brief
 
     @property
     def shows_correlated_noise(self) -> bool:
-        """Whether a disturbance is an error of a sensor that lasts for a few samples.
-
-        There may be a force too, or a function of a state.
-        """
-        rows = self.fit.model_error_rows
-        errors = [row.time for row in rows if row.kind == SENSOR_ERROR]
-        return bool(errors) and min(errors) <= longest_noise(self.grid)
+        """Whether a disturbance is such an error; there may be others too."""
+        return self._brief_noise > 0
 
     @property
     def start(self) -> tuple[np.ndarray, ...]:

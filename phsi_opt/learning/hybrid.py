@@ -29,11 +29,11 @@ import pandas as pd
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import LEAST_SIZE
-from phsi_opt.estimation.estimate import Pruning
+from phsi_opt.estimation.estimate import Pruning, Task
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_file import decoded, encoded, read_json
 from phsi_opt.estimation.identified import Identified
-from phsi_opt.estimation.identify import identify_forced
+from phsi_opt.estimation.identify import fit_of_task
 from phsi_opt.force_analysis.cross_validation import N_FOLDS
 from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.interrupts import interruptible
@@ -46,13 +46,14 @@ from phsi_opt.learning.hybrid_network import (
 from phsi_opt.learning.network import cross_validated_ridge
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.simulation.simulate import simulate_forced
 from phsi_opt.statistics import rms
 from phsi_opt.transcription import integrators
 from phsi_opt.transcription.defects import ParameterSlopes, parameter_slopes
 from phsi_opt.transcription.grid import AlignedData, Grid, aligned_once, grid_of
 from phsi_opt.transcription.integrators import Integrator
-from phsi_opt.transcription.losses import PHSILoss, complete_intervals
+from phsi_opt.transcription.losses import PHSILoss, complete_intervals, l1_weights
 from phsi_opt.writing import write_whole
 
 __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
@@ -113,7 +114,8 @@ def hybrid(
         prune = pruning if turn >= FIRST_PRUNED_TURN else None
         forced, inputs = problem.forced(*before)
         aligned = AlignedData(record, inputs)
-        fit = identify_forced(forced, aligned, PHSILoss(integrator), l1, prune, fit)
+        task = Task(forced, aligned, l1_weights(l1), prune, SolverSettings())
+        fit = fit_of_task(PHSILoss(integrator), task, fit)
         model = without_signals(fit.model)
         stages = problem.training_set(model, at_stages)
         in_turn = replace(

@@ -342,9 +342,8 @@ def first_gains(
         is_tied: whether the sizes of one kind share a factor, as in a search over many.
     """
     problem = system.problem
-    sites = [problem.site_of_force(one.place) for one in forces]
-    sites += [problem.site_of_sensor(one.place) for one in sensors]
     components = []
+    sites = problem.sites(forces, sensors)
     for process, site in zip([*forces, *sensors], sites, strict=True):
         components.append(Component.of(process, site, system.projected_data))
     if not components:

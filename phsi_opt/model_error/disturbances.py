@@ -6,7 +6,6 @@ a function of a state returns whenever the state does. `Coordinates` are their s
 times as a vector, for a search.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -210,12 +209,6 @@ class Disturbances:
         """All of them, forces first."""
         return (*self.forces, *self.sensors)
 
-    def with_processes(self, processes: Sequence[Process]) -> "Disturbances":
-        """The same with others in the place of each process, forces first."""
-        n = len(self.forces)
-        forces, sensors = tuple(processes[:n]), tuple(processes[n:])
-        return replace(self, forces=forces, sensors=sensors)
-
     @property
     def function_sizes(self) -> np.ndarray:
         return np.array([function.size for function in self.functions])
@@ -333,10 +326,15 @@ class Coordinates:
         sigma[:, list(self.channels)] *= noises
         processes = []
         for one, size, time in zip(origin.processes, sizes, times, strict=True):
-            moved = replace(one, size=one.size * float(size))
-            processes.append(replace(moved, time=one.time * float(time)))
+            scaled = replace(one, size=one.size * float(size))
+            processes.append(replace(scaled, time=one.time * float(time)))
         functions = []
         for function, size in zip(origin.functions, of_functions, strict=True):
             functions.append(replace(function, size=function.size * float(size)))
-        moved_origin = origin.with_processes(processes)
-        return replace(moved_origin, sigma=sigma, functions=tuple(functions))
+        n_forces = len(origin.forces)
+        return Disturbances(
+            sigma=sigma,
+            forces=tuple(processes[:n_forces]),
+            sensors=tuple(processes[n_forces:]),
+            functions=tuple(functions),
+        )

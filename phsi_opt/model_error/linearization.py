@@ -13,6 +13,7 @@ Data and dynamics together are one set of linear equations: the data are r and, 
 them, -offset; so a force adds -B w to them where a sensor's error adds v.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -21,7 +22,12 @@ import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags
 
 from phsi_opt.model.structure import forced_rows
-from phsi_opt.model_error.disturbances import LINEAR_SHARE, Whitener, smooth_functions
+from phsi_opt.model_error.disturbances import (
+    LINEAR_SHARE,
+    Process,
+    Whitener,
+    smooth_functions,
+)
 from phsi_opt.optimization.banded import Banded, BandLayout, Passage, neighbours_first
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
@@ -67,8 +73,6 @@ class Linearization:
     shown_in_states: Any  # C, sparse, (n_values, n_nodes * n_states)
     shown_in_theta: np.ndarray  # C_theta, (n_values, n_theta)
     residual: np.ndarray  # r, measured minus shown, (n_values,)
-    node: np.ndarray  # (n_values,) node of every measured value
-    channel: np.ndarray  # (n_values,) its state
     x_scale: np.ndarray  # (n_states,) scale of the states
     theta_scale: np.ndarray  # (n_theta,) scale of the parameters
     forced: tuple[int, ...]  # equations that can lack a force
@@ -102,6 +106,16 @@ class Linearization:
     @property
     def n_trajectories(self) -> int:
         return self.grid.n_trajectories
+
+    @property
+    def node(self) -> np.ndarray:
+        """Node of every measured value, (n_values,)."""
+        return self.grid.node
+
+    @property
+    def channel(self) -> np.ndarray:
+        """Its state, (n_values,)."""
+        return self.grid.channel
 
     @property
     def middles(self) -> np.ndarray:
@@ -140,6 +154,13 @@ class Linearization:
         return log_slopes + len(self.grid.starts) * np.sum(np.log(self.x_scale))
 
     # --- Disturbances
+
+    def sites(
+        self, forces: Sequence[Process], sensors: Sequence[Process]
+    ) -> list[Site]:
+        """Where processes act, forces first."""
+        sites = [self.site_of_force(force.place) for force in forces]
+        return sites + [self.site_of_sensor(sensor.place) for sensor in sensors]
 
     def site_of_force(self, equation: int) -> Site:
         """Of a force in an equation: it is held over each interval."""
@@ -266,8 +287,6 @@ class Linearization:
             shown_in_states=csr_matrix(self.shown_in_states)[values][:, columns],
             shown_in_theta=self.shown_in_theta[values],
             residual=self.residual[values],
-            node=number[self.node[values]],
-            channel=self.channel[values],
         )
 
     def between_samples(self) -> "Linearization":
@@ -310,7 +329,6 @@ class Linearization:
             force_effects=csc_matrix(passage.over_blocks(held)),
             offset=passage.over(self.offset[:, None]).ravel(),
             shown_in_states=csr_matrix(self.shown_in_states)[:, passage.samples],
-            node=number[self.node],
         )
 
 
@@ -328,8 +346,6 @@ class Linearizer:
         self._dynamics_in_theta = values.jacobian.part(point.of_theta)
         self._shown = values.shown.part(point.of_x)
         self._shown_in_theta = values.shown.part(point.of_theta)
-        measured = np.flatnonzero(grid.measured.ravel())
-        self._node, self._channel = np.divmod(measured, values.n_states)
         states = enumerate(model.states)
         self._observed = tuple(k for k, name in states if name not in model.memory)
         self._forced = forced_rows(model)
@@ -356,8 +372,6 @@ class Linearizer:
             shown_in_states=csr_matrix(self._shown.sparse(known.slopes)),
             shown_in_theta=self._shown_in_theta.dense(known.slopes),
             residual=known.misfit,
-            node=self._node,
-            channel=self._channel,
             x_scale=point.x_scale,
             theta_scale=point.theta_scale,
             forced=self._forced,

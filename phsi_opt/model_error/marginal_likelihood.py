@@ -222,8 +222,7 @@ class MarginalLikelihood:
         self.problem = problem
         self.moving = moving
         self._functions = [(f.equation, f.state) for f in disturbances.functions]
-        self.sites = [problem.site_of_force(f.place) for f in disturbances.forces]
-        self.sites += [problem.site_of_sensor(s.place) for s in disturbances.sensors]
+        self.sites = problem.sites(disturbances.forces, disturbances.sensors)
         empty = csc_matrix((problem.n_values + len(problem.offset), 0))
         self.effects = csc_matrix(hstack([empty, *(one.effects for one in self.sites)]))
         self._set_layout()

@@ -181,7 +181,7 @@ def are_independent(problem: Linearization) -> bool:
     more, and their scatter does not show this error. Residuals that last count as few
     (`autocorrelation_time`).
     """
-    runs = problem.grid.trajectory[np.nonzero(problem.grid.measured)[0]]
+    runs = problem.grid.trajectory[problem.node]
     sizes = problem.grid.rms_by_channel(problem.residual)[problem.channel]
     split = np.split(
         problem.residual / np.maximum(sizes, TINY), np.flatnonzero(np.diff(runs)) + 1
@@ -314,8 +314,7 @@ def covariance_under(
     """
     of_noise = response[:, : problem.n_values] * problem.of_values(disturbances.sigma)
     covariance = of_noise @ of_noise.T
-    sites = [problem.site_of_force(force.place) for force in disturbances.forces]
-    sites += [problem.site_of_sensor(sensor.place) for sensor in disturbances.sensors]
+    sites = problem.sites(disturbances.forces, disturbances.sensors)
     for process, site in zip(disturbances.processes, sites, strict=True):
         weights = site.effects.T @ response.T
         factor = site.whitener(process.time).factor_of(weights)

@@ -83,6 +83,11 @@ class Grid:
         """State of every measured value in the order of the nodes, (n_values,)."""
         return np.nonzero(self.measured)[1]
 
+    @cached_property
+    def node(self) -> np.ndarray:
+        """Node of every measured value, (n_values,)."""
+        return np.nonzero(self.measured)[0]
+
     def rms_by_channel(self, values: np.ndarray) -> np.ndarray:
         """Root mean square per state, (n_states,); zero where nothing is measured.
 
@@ -184,10 +189,8 @@ class Grid:
         from one.
         """
         interval, row = divmod(place, n_rows)
-        node = self.begin[interval]
-        run = self.trajectory[node] + 1
-        times = f"{self.t[node]:g} to {self.t[node + 1]:g}"
-        return f"trajectory {run}, t = {times}, row {row + 1}"
+        node = int(self.begin[interval])
+        return f"{self._node_label(node)} to {self.t[node + 1]:g}, row {row + 1}"
 
     def node_label(self, n_rows: int, place: int) -> str:
         """The same of a value in ``n_rows`` rows per node.
@@ -195,8 +198,10 @@ class Grid:
         Such as 'trajectory 3, t = 0.5, state 1'.
         """
         node, row = divmod(place, n_rows)
-        run = self.trajectory[node] + 1
-        return f"trajectory {run}, t = {self.t[node]:g}, state {row + 1}"
+        return f"{self._node_label(node)}, state {row + 1}"
+
+    def _node_label(self, node: int) -> str:
+        return f"trajectory {self.trajectory[node] + 1}, t = {self.t[node]:g}"
 
 
 def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
