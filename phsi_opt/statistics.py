@@ -41,6 +41,21 @@ def local_maxima(values: np.ndarray, last_of_plateau: bool = False) -> np.ndarra
     return np.asarray(from_before & to_next)
 
 
+def stretches(run: np.ndarray, n_parts: np.ndarray | int) -> np.ndarray:
+    """Number of the stretch of each sample when all runs are cut evenly, (n,).
+
+    Args:
+        run: (n,) number of the run of each sample, not decreasing.
+        n_parts: stretches of each run, one number or (n_runs,).
+    """
+    count = np.bincount(run)
+    parts = np.broadcast_to(n_parts, count.shape)
+    first = np.cumsum(count) - count
+    before = np.cumsum(parts) - parts
+    place = np.arange(len(run)) - first[run]
+    return np.asarray(before[run] + place * parts[run] // count[run])
+
+
 def autocorrelation_time(series: Sequence[np.ndarray]) -> float:
     """Integrated autocorrelation time of several series, in samples; at least 1.
 

@@ -110,9 +110,9 @@ def of_defects(
     n_theta = len(theta)
     y = np.nan_to_num(grid.y)
     n = model.n_states
-    own_d, slopes = defect_slopes(model, grid, scheme, y, theta)
-    at_begin, at_end = slopes[:, :, :n], slopes[:, :, n : 2 * n]
-    jacobian = slopes[:, :, 2 * n :] * scale
+    known = defect_slopes(model, grid, scheme, y, theta)
+    own_d, at_begin, at_end, in_theta = known
+    jacobian = in_theta * scale
 
     gathered = np.zeros((grid.n_nodes, n, n_theta))
     np.add.at(gathered, grid.begin, np.einsum("ikj,ikp->ijp", at_begin, jacobian))

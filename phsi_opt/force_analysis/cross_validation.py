@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, stretches
 
 # Quantiles of the variable at the outer knots: the extreme hundredths share them.
 OUTER_QUANTILES = (0.01, 0.99)
@@ -106,8 +106,7 @@ def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarra
     share_of_record = 40 * count / len(run)
     at_most = np.maximum(count, 1)
     n_stretches = np.clip(np.round(share_of_record), 1, at_most).astype(int)
-    n_before = np.cumsum(n_stretches) - n_stretches
-    stretch = n_before[run] + part_of_run(run, n_stretches[run])
+    stretch = stretches(run, n_stretches)
     for u in () if inputs is None else inputs.T:
         hold = _holds(run, u)
         n_holds = int(hold[-1]) + 1
@@ -127,14 +126,3 @@ def _holds(run: np.ndarray, u: np.ndarray) -> np.ndarray:
     changes = is_new_run | np.r_[True, np.diff(u) != 0]
     stays = np.r_[~changes[1:], True]
     return np.cumsum(is_new_run | (changes & stays)) - 1
-
-
-def part_of_run(run: np.ndarray, n_parts: np.ndarray | int) -> np.ndarray:
-    """Number of the part of its trajectory in which each interval is, (n_intervals,).
-
-    Into how many each is cut is one number, or (n_intervals,).
-    """
-    count = np.bincount(run)
-    first = np.cumsum(count) - count
-    place = np.arange(len(run)) - first[run]
-    return place * n_parts // count[run]

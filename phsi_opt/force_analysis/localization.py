@@ -14,12 +14,12 @@ import numpy as np
 import scipy
 
 from phsi_opt.criteria import MOST_OF_IT
-from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES, part_of_run
+from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.waves import spectrum
 from phsi_opt.presentation.numbers import decimal, number, range_words
 from phsi_opt.presentation.units import Scale, frequency_words
-from phsi_opt.statistics import TINY, rms
+from phsi_opt.statistics import TINY, rms, stretches
 
 # Factor on the size of a force in the whole record from which a part stands out.
 OUTSTANDING_FORCE = 1.3
@@ -51,7 +51,7 @@ class Window:
 def strongest_window(force: Force) -> Window:
     """The tenth of a trajectory where a force is strongest, or else all of that."""
     record = force.record
-    part = record.run * N_WINDOWS + part_of_run(record.run, N_WINDOWS)
+    part = stretches(record.run, N_WINDOWS)
     size = _rms_in_parts(force.w, part, int(part.max()) + 1)
     strongest = int(np.argmax(size))
     run = strongest // N_WINDOWS

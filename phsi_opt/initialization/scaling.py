@@ -18,7 +18,7 @@ import numpy as np
 from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.defects import at_nodes, parameter_slopes
+from phsi_opt.transcription.defects import at_nodes, parameter_slopes, with_matrices
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
 from phsi_opt.transcription.parameter_vector import Point, Theta
@@ -268,9 +268,8 @@ def _rates_and_slopes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates (n_nodes, n_states), and slopes (n_nodes, n_states, n_states) in states."""
     grid = grid.driven(model, theta)
-    values, entries = at_nodes(model.rhs_slopes("x"), grid, x, theta)
-    n = model.n_states
-    return values.T, entries.T.reshape(grid.n_nodes, n, n)
+    rates, slopes = with_matrices(at_nodes(model.rhs_slopes("x"), grid, x, theta))
+    return rates, slopes
 
 
 def _least_squares_steps(slopes: np.ndarray, missing: np.ndarray) -> np.ndarray | None:

@@ -29,6 +29,7 @@ from phsi_opt.model_error.disturbances import (
     smooth_functions,
 )
 from phsi_opt.optimization.banded import Banded, BandLayout, Passage, neighbours_first
+from phsi_opt.statistics import stretches
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
@@ -217,21 +218,6 @@ class Linearization:
 
     # --- Parts of a record
 
-    def piece_numbers(self, n_pieces: int) -> np.ndarray:
-        """Number of the piece of every node when the record is cut evenly, (n_nodes,).
-
-        Every trajectory is cut into pieces of about an equal number of nodes.
-        """
-        length = max(int(np.ceil(self.grid.n_nodes / n_pieces)), 1)
-        numbers = np.zeros(self.grid.n_nodes, dtype=int)
-        first = 0
-        for begin, end in self.grid.spans:
-            n_of_run = max(round((end - begin) / length), 1)
-            place = np.arange(end - begin) * n_of_run // (end - begin)
-            numbers[begin:end] = first + place
-            first += n_of_run
-        return numbers
-
     def evenly_spread(self) -> "tuple[Linearization, np.ndarray] | None":
         """Evenly spread pieces of a long record, and the trajectory of each.
 
@@ -245,10 +231,13 @@ class Linearization:
         most = most_intervals * per_sample**0.5
         n_pieces = max(int(n_intervals / (250 * per_sample)), 2)  # of 250 samples
         stride = max(round(n_intervals / most), 2)
-        numbers = self.piece_numbers(n_pieces)
+        length = max(int(np.ceil(self.grid.n_nodes / n_pieces)), 1)
+        runs = self.grid.trajectory
+        n_of_run = np.round(np.bincount(runs) / length)
+        numbers = stretches(runs, np.maximum(n_of_run, 1).astype(int))
         chosen = np.where(numbers % stride == 0, numbers, -1)
         kept, first = np.unique(chosen, return_index=True)
-        return self.cut(chosen), self.grid.trajectory[first[kept >= 0]]
+        return self.cut(chosen), runs[first[kept >= 0]]
 
     def cut(self, piece: np.ndarray) -> "Linearization":
         """The same record in pieces, each of them a trajectory of its own.

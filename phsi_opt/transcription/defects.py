@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
-from phsi_opt.model.symbolic import argument_symbols
+from phsi_opt.model.symbolic import argument_symbols, with_slopes
 from phsi_opt.optimization.column_function import in_columns, in_numbers
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import integrator
@@ -70,6 +70,16 @@ def at_nodes(
     own = _of_each(theta, grid.trajectory)
     own = own.ravel() if own is theta else own
     return in_numbers(function, x.T, grid.u.T, grid.t[None, :], own)
+
+
+def with_matrices(results: list[np.ndarray]) -> list[np.ndarray]:
+    """Values (n, n_rows) of a function `with_slopes`, and slopes (n, n_rows, n_of).
+
+    From the entries that `in_intervals` or `at_nodes` have of it.
+    """
+    values, *slopes = results
+    n_rows, n = values.shape
+    return [values.T, *(one.T.reshape(n, n_rows, len(one) // n_rows) for one in slopes)]
 
 
 def symbols_in_intervals(
@@ -207,19 +217,17 @@ def _sparse(arguments: list[ca.SX], values: list[ca.SX], matrix: ca.SX) -> Spars
 
 def defect_slopes(
     model: Model, grid: Grid, scheme: str, x: np.ndarray, theta: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Defects (n_intervals, n_states), and their slopes in (x0, x1, theta).
+) -> list[np.ndarray]:
+    """Defects (n_intervals, n_states), and their slopes in x0, in x1 and in theta.
 
-    ``x`` is (n_nodes, n_states) and ``theta`` (n_free,); the slopes are
-    (n_intervals, n_states, 2 n_states + n_free).
+    ``x`` is (n_nodes, n_states) and ``theta`` (n_free,); slopes are (n_intervals,
+    n_states, n) each.
     """
-    function, places = linear_defect(model, scheme)
-    grid = grid.driven(model, theta)
-    d, entries = in_intervals(function, grid, x, theta)
-    n_states = model.n_states
-    slopes = np.zeros((grid.n_intervals, n_states, 2 * n_states + len(theta)))
-    slopes[:, *places.T] = entries.T
-    return d.T, slopes
+    function = model.built(
+        ("slopes", scheme),
+        lambda: with_slopes(defect(model, scheme), "x0", "x1", "theta"),
+    )
+    return with_matrices(in_intervals(function, grid.driven(model, theta), x, theta))
 
 
 # ---- between known states, as functions of the parameters alone

@@ -11,7 +11,7 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import with_slopes
-from phsi_opt.transcription.defects import at_nodes
+from phsi_opt.transcription.defects import at_nodes, with_matrices
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -50,9 +50,8 @@ def output_slopes(
     slopes = model.built(
         "output slopes", lambda: with_slopes(model.output(), "x", "theta")
     )
-    _, *parts = at_nodes(slopes, grid.driven(model, theta), x, theta)
-    shape = (grid.n_nodes, model.n_states)
-    return OutputSlopes(*(one.T.reshape(*shape, len(one) // shape[1]) for one in parts))
+    found = at_nodes(slopes, grid.driven(model, theta), x, theta)
+    return OutputSlopes(*with_matrices(found)[1:])
 
 
 def output_slopes_in_theta(
