@@ -566,10 +566,10 @@ def test_many_channels_promise_nothing_by_their_number() -> None:
     search = search_of_a_chain()
     white = Disturbances(search.plain)
     system = search.likelihood(white).at(white)
-    sensors = search._sensors(1.0, search.first_times()[0])
+    sensors = search._with_kind(white, "sensors", 1.0, search.first_times()[0])
     gains = []
     for is_tied in (False, True):
-        found = ascent.first_gains(system, search.channels, [], sensors, is_tied)
+        found = ascent.first_gains(system, search.channels, sensors, is_tied)
         gains.append(found[1])
     alone, tied = gains
     assert alone > STRONG_EVIDENCE  # by chance, with a size for each

@@ -146,8 +146,9 @@ def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
     eliminated = white_system(linear, sigma)
     close(eliminated.information @ covariance, np.eye(n))
     e = rng.normal(size=len(J))
-    theta, x = eliminated.respond(e, covariance)
-    close(np.r_[theta, x.ravel()], (inverse @ np.r_[np.zeros(n_z), e])[:n_z])
+    x, theta = eliminated.solve(np.zeros((len(C), 1)), e[:, None])
+    found = np.r_[theta, x[: n_z - n]].ravel()
+    close(found, (inverse @ np.r_[np.zeros(n_z), e])[:n_z])
     # Its variances are those of the parameters, carried along, and of the starts.
     following = eliminated.following
     variances = np.einsum("aij,jk,aik->ai", following, covariance, following)

@@ -23,7 +23,7 @@ from phsi_opt.data.noise import (
 )
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.noise_estimation import NoiseLevels
-from phsi_opt.optimization.bounded_step import regularized_inverse
+from phsi_opt.optimization.bounded_step import REGULAR
 from phsi_opt.presentation.units import scale_of
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import local_errors
@@ -168,12 +168,16 @@ def _visible_share(estimate: LikelihoodEstimate, error: np.ndarray) -> float:
     # Of a standard error, in the direction of theta in which it is largest (many small
     # shifts of one sign add up); and of the noise, root mean square over the measured
     # values.
-    reduced = estimate.reduced
-    information = reduced.information
-    covariance = regularized_inverse(information, estimate.held)
-    theta_shift, x_shift = reduced.respond(error.ravel(), covariance)
-    squared_shift = float(theta_shift @ information @ theta_shift)
+    system = estimate.reduced
+    likelihood = system.likelihood
+    if estimate.held:
+        moving = np.setdiff1d(likelihood.moving, estimate.held)
+        system = likelihood.with_moving(moving).at(system.disturbances, REGULAR)
+    no_errors = np.zeros((system.problem.n_values, 1))
+    shift, theta_shift = system.solve(no_errors, error.reshape(-1, 1))
+    squared_shift = float(np.sum(theta_shift * (system.information @ theta_shift)))
     in_std_errors = np.sqrt(max(squared_shift, 0.0))
+    x_shift = shift[: estimate.nodes.size].reshape(estimate.nodes.shape)
     x_shift = x_shift * estimate.point.x_scale
     in_noise = (x_shift / estimate.sigma)[estimate.grid.measured]
     return max(in_std_errors, float(np.sqrt(np.mean(in_noise**2))))

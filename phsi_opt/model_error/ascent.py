@@ -328,8 +328,7 @@ def _newton_step(here: Slopes, moves: np.ndarray, damping: float) -> np.ndarray:
 def first_gains(
     system: OptimalitySystem,
     channels: Sequence[int],
-    forces: Sequence[Process],
-    sensors: Sequence[Process],
+    disturbances: Disturbances,
     is_tied: bool,
 ) -> tuple[float, float]:
     """Gain of the log evidence by the first step, by forces, and by sensors.
@@ -337,14 +336,16 @@ def first_gains(
     Args:
         system: white noise, without processes or functions.
         channels: states whose noise is estimated, and follows the processes.
-        forces: that could act; sizes matter only beside each other, where tied.
-        sensors: processes that could add to what is shown.
+        disturbances: forces and errors of sensors that could act; sizes matter only
+            beside each other, where tied.
         is_tied: whether the sizes of one kind share a factor, as in a search over many.
     """
     problem = system.problem
+    forces = disturbances.forces
+    sensors = disturbances.sensors
     components = []
-    sites = problem.sites(forces, sensors)
-    for process, site in zip([*forces, *sensors], sites, strict=True):
+    sites = problem.sites(disturbances)
+    for process, site in zip(disturbances.processes, sites, strict=True):
         components.append(Component.of(process, site, system.projected_data))
     if not components:
         return 0.0, 0.0

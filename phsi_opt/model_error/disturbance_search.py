@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -138,8 +139,9 @@ class DisturbanceSearch:
         alone = system.without_functions()
         gains = []
         for time in self.first_times():
-            processes = (self._forces(1.0, time), self._sensors(1.0, time))
-            gains.append(first_gains(alone, self.channels, *processes, is_tied))
+            both = self._with_kind(alone.disturbances, "forces", 1.0, time)
+            both = self._with_kind(both, "sensors", 1.0, time)
+            gains.append(first_gains(alone, self.channels, both, is_tied))
         by_forces, by_sensors = np.max(gains, axis=0)
         share = PROMISING_SHARE_TIED if is_tied else PROMISING_SHARE
         limit = share * STRONG_EVIDENCE
@@ -206,14 +208,21 @@ class DisturbanceSearch:
         if "noises" in self.promising:
             noises = Disturbances(self._noises()[0])
             best = self._clearer(best, [noises], self._evidence_of_runs)
-        of_forces = self._clearer(best, self._force_starts())
-        of_sensors = self._clearer(best, self._sensor_starts())
+        of_forces = self._clearer(best, self._starts("forces", FORCE_SHARES))
+        of_sensors = self._clearer(best, self._starts("sensors", (0.7,)))
         found = max(of_forces, of_sensors, key=lambda one: one.log_evidence)
         if self.is_brief:
             return found
         # Both kinds promise, and one was found.
         if found is not best and {"forces", "sensors"} <= self.promising:
-            found = self._clearer(found, self._with_the_other_kind(found.disturbances))
+            # With a little of the kind that is not among them.
+            other = ("sensors", FORCE_SHARES[0])
+            if found is of_sensors:
+                other = ("forces", FORCE_SHARES[-1])
+            starts = []
+            for time in self.first_times():
+                starts.append(self._with_kind(found.disturbances, *other, time))
+            found = self._clearer(found, starts)
         functions = self._chosen_functions(found.disturbances)
         if not functions:
             return found
@@ -305,45 +314,26 @@ class DisturbanceSearch:
         """Typical rate in the equation of each function, (n_functions,)."""
         return self.rates()[[function.equation for function in functions]]
 
-    def _force_starts(self) -> list[Disturbances]:
-        if "forces" not in self.promising:
-            return []
+    def _starts(self, kind: str, shares: Sequence[float]) -> list[Disturbances]:
+        """With forces or sensors of some sizes; none where they do not promise."""
         starts = []
-        for sigma, time, share in product(
-            self._noises(), self.first_times(), FORCE_SHARES
-        ):
-            starts.append(Disturbances(sigma, self._forces(share, time)))
+        times = self.first_times() if kind in self.promising else []
+        for sigma, time, share in product(self._noises(), times, shares):
+            starts.append(self._with_kind(Disturbances(sigma), kind, share, time))
         return starts
 
-    def _sensor_starts(self) -> list[Disturbances]:
-        if "sensors" not in self.promising:
-            return []
-        starts = []
-        for sigma, time in product(self._noises(), self.first_times()):
-            sensors = self._sensors(0.7, time)  # of the residuals
-            starts.append(Disturbances(sigma, sensors=sensors))
-        return starts
-
-    def _forces(self, share: float, time: float) -> tuple[Process, ...]:
-        sizes = (share * self.rates()).tolist()
-        return tuple(Process(k, sizes[k], time) for k in self.problem.forced)
-
-    def _sensors(self, share: float, time: float) -> tuple[Process, ...]:
-        sizes = (share * np.mean(self.plain, axis=0)).tolist()
-        measured = np.unique(self.problem.channel).tolist()
-        return tuple(Process(channel, sizes[channel], time) for channel in measured)
-
-    def _with_the_other_kind(self, found: Disturbances) -> list[Disturbances]:
-        """Disturbances with a little of the kind that is not among them."""
-        starts = []
-        for time in self.first_times():
-            if found.forces:
-                sensors = self._sensors(FORCE_SHARES[0], time)
-                starts.append(replace(found, sensors=sensors))
-            else:
-                forces = self._forces(FORCE_SHARES[-1], time)
-                starts.append(replace(found, forces=forces))
-        return starts
+    def _with_kind(
+        self, beside: Disturbances, kind: str, share: float, time: float
+    ) -> Disturbances:
+        """With forces, or sensors: a share of the rates, or of the residuals."""
+        sizes = np.mean(self.plain, axis=0)
+        places = np.unique(self.problem.channel).tolist()
+        if kind == "forces":
+            sizes = self.rates()
+            places = list(self.problem.forced)
+        processes = tuple(Process(k, float(share * sizes[k]), time) for k in places)
+        changed: dict[str, Any] = {kind: processes}
+        return replace(beside, **changed)
 
     def _chosen_functions(self, beside: Disturbances) -> tuple[StateFunction, ...]:
         """Functions that the evidence asks for, given other disturbances."""

@@ -13,7 +13,6 @@ Data and dynamics together are one set of linear equations: the data are r and, 
 them, -offset; so a force adds -B w to them where a sensor's error adds v.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -24,7 +23,7 @@ from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags
 from phsi_opt.model.structure import forced_rows
 from phsi_opt.model_error.disturbances import (
     LINEAR_SHARE,
-    Process,
+    Disturbances,
     Whitener,
     smooth_functions,
 )
@@ -156,12 +155,12 @@ class Linearization:
 
     # --- Disturbances
 
-    def sites(
-        self, forces: Sequence[Process], sensors: Sequence[Process]
-    ) -> list[Site]:
+    def sites(self, disturbances: Disturbances) -> list[Site]:
         """Where processes act, forces first."""
-        sites = [self.site_of_force(force.place) for force in forces]
-        return sites + [self.site_of_sensor(sensor.place) for sensor in sensors]
+        sites = [self.site_of_force(force.place) for force in disturbances.forces]
+        for sensor in disturbances.sensors:
+            sites.append(self.site_of_sensor(sensor.place))
+        return sites
 
     def site_of_force(self, equation: int) -> Site:
         """Of a force in an equation: it is held over each interval."""

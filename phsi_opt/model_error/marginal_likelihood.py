@@ -222,7 +222,7 @@ class MarginalLikelihood:
         self.problem = problem
         self.moving = moving
         self._functions = [(f.equation, f.state) for f in disturbances.functions]
-        self.sites = problem.sites(disturbances.forces, disturbances.sensors)
+        self.sites = problem.sites(disturbances)
         empty = csc_matrix((problem.n_values + len(problem.offset), 0))
         self.effects = csc_matrix(hstack([empty, *(one.effects for one in self.sites)]))
         self._set_layout()
@@ -725,24 +725,6 @@ class OptimalitySystem:
         """How the states follow a change of theta, (n_nodes, n_states, n_theta)."""
         shape = (*self.problem.nodes.shape, -1)
         return -self.solved[: self.problem.nodes.size, :-1].reshape(shape)
-
-    def respond(
-        self, e: np.ndarray, covariance: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Change of theta and x when the constraints are offset by ``e``.
-
-        Args:
-            e: (n_constraints,).
-            covariance: (n_theta, n_theta) inverse of the information.
-
-        Returns:
-            Scaled, (n_theta,) and (n_nodes, n_states).
-        """
-        nodes = self.problem.nodes
-        alone = self.factors.solve(np.concatenate([np.zeros(nodes.size), e]))
-        theta = covariance @ (-self.right[:, :-1].T @ alone)
-        states = alone - self.solved[:, :-1] @ theta
-        return theta, states[: nodes.size].reshape(nodes.shape)
 
     def start_covariances(self) -> np.ndarray:
         """Covariance of each node's states when theta is known.

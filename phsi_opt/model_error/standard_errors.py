@@ -314,7 +314,7 @@ def covariance_under(
     """
     of_noise = response[:, : problem.n_values] * problem.of_values(disturbances.sigma)
     covariance = of_noise @ of_noise.T
-    sites = problem.sites(disturbances.forces, disturbances.sensors)
+    sites = problem.sites(disturbances)
     for process, site in zip(disturbances.processes, sites, strict=True):
         weights = site.effects.T @ response.T
         factor = site.whitener(process.time).factor_of(weights)
