@@ -212,9 +212,16 @@ class Estimate(ABC):
         """Those that count model error; None if `uncertainty` has all that is known."""
         return None
 
-    def covariance_by(self, spread: Spread | None) -> np.ndarray:
-        """Covariance of theta, (n_theta, n_theta), by a spread; None: noise alone."""
+    @property
+    def covariance_by_noise(self) -> np.ndarray:
+        """Covariance of theta, (n_theta, n_theta), by noise alone."""
         return self.uncertainty.covariance
+
+    def covariance_by(self, spread: Spread) -> np.ndarray:
+        """By a spread, in the parameters' units; NaN where `uncertainty` gives none."""
+        scale = self.point.theta_scale
+        known = spread.covariance * np.outer(scale, scale)
+        return np.where(np.isfinite(self.uncertainty.covariance), known, np.nan)
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
@@ -284,7 +291,7 @@ class Estimate(ABC):
         found = self.standard_errors
         if found is None:
             return known
-        covariances = {Source.NOISE: self.covariance_by(None)}
+        covariances = {Source.NOISE: self.covariance_by_noise}
         for source, spread in found.spreads.items():
             if source != Source.NOISE:
                 covariances[source] = self.covariance_by(spread)

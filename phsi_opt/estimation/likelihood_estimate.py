@@ -39,7 +39,6 @@ from phsi_opt.model_error.marginal_likelihood import (
 from phsi_opt.model_error.standard_errors import (
     Clusters,
     Source,
-    Spread,
     StandardErrors,
     are_independent,
     standard_errors,
@@ -226,15 +225,6 @@ class LikelihoodEstimate(Estimate):
             score_variance=self.score_variance,
         )
 
-    def covariance_by(self, spread: Spread | None) -> np.ndarray:
-        """In the parameters' units, NaN where noise alone gives none."""
-        of_noise = self.uncertainty.covariance
-        if spread is None:
-            return of_noise
-        scale = self.point.theta_scale
-        known = spread.covariance * np.outer(scale, scale)
-        return np.where(np.isfinite(of_noise), known, np.nan)
-
     def fit(self) -> Fit:
         return replace(
             super().fit(),
@@ -296,23 +286,18 @@ class DisturbedEstimate(Estimate):
         evidence = system.log_model_evidence
         return StandardErrors(source, spreads, self.disturbances, evidence)
 
+    @property
+    def covariance_by_noise(self) -> np.ndarray:
+        return self.plain.covariance_by_noise
+
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Covariance of theta, and where nothing is known of it."""
         assert self.standard_errors is not None
-        return self._uncertainty(self.standard_errors.spread)
-
-    def covariance_by(self, spread: Spread | None) -> np.ndarray:
-        """In the parameters' units, (n_theta, n_theta); NaN where it is not known."""
-        if spread is None:
-            return self.plain.uncertainty.covariance
-        return self._uncertainty(spread).covariance
-
-    def _uncertainty(self, spread: Spread) -> Uncertainty:
         return of_covariance(
             self.unknown.names,
             self.theta,
             self.point.theta_scale,
-            spread.covariance,
+            self.standard_errors.spread.covariance,
             self.solution.outcome.at_bounds,
             self.plain.uncertainty.silent,
         )
