@@ -79,10 +79,7 @@ class LikelihoodValues:
     Attributes:
         scale: sizes of the variables, (n_variables,).
         lower: bounds of z, (n_variables,); upper: likewise.
-        linear_defect: one interval's defect and its slopes.
-        order: (n_entries,) of these slopes, as they follow each other in ``jacobian``.
         per_size: (n_intervals, n_states) length over the state's size.
-        factor: (n_intervals, n_entries) of each slope.
         jacobian: places of the slopes of the constraints, interval by interval.
         shown: places of the slopes of the sensors' output, a row per measured value.
     """
@@ -122,17 +119,14 @@ class LikelihoodValues:
     def _set_defects(self) -> None:
         grid = self.grid
         n = self.n_states
-        self.linear_defect = linear_defect(self.model, self.scheme)
-        equation, local = self.linear_defect.places.T
-        # Parameters are the first columns of z.
-        self.order = np.lexsort((local, local < 2 * n, equation))
-        equation, local = equation[self.order], local[self.order]
+        self._defect, places = linear_defect(self.model, self.scheme)
+        equation, local = places.T
         columns = self.places(grid.begin, 2)[:, local]
         rows = n * np.arange(grid.n_intervals)[:, None] + equation
         shape = (n * grid.n_intervals, len(self.scale))
         self.jacobian = Pattern(rows.ravel(), columns.ravel(), shape)
         self.per_size = grid.h[:, None] / self.point.x_scale
-        self.factor = self.per_size[:, equation] * self.scale[columns]
+        self._factor = self.per_size[:, equation] * self.scale[columns]
 
     def _set_shown(self) -> None:
         model = self.model
@@ -156,11 +150,11 @@ class LikelihoodValues:
         """Defects and output of the sensors, with their slopes, at z (n_variables,)."""
         x, theta = self._unscaled(z)
         grid = self.grid.driven(self.model, theta)
-        d, entries = in_intervals(self.linear_defect.function, grid, x, theta)
+        d, entries = in_intervals(self._defect, grid, x, theta)
         shown, of_shown = at_nodes(self._sensor, grid, x, theta)
         return PointValues(
             g=(d.T * self.per_size).ravel(),
-            jacobian=(entries[self.order].T * self.factor).ravel(),
+            jacobian=(entries.T * self._factor).ravel(),
             misfit=self._y - shown.T.ravel()[self._measured],
             slopes=of_shown.T[self._is_shown] * self.scale[self.shown.columns],
         )
