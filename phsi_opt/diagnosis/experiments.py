@@ -55,9 +55,6 @@ N_REPEATS = 3  # of the record's inputs, in a longer record
 # Steps of an imitation, in those of the fit, whose errors are a tenth of the noise: of
 # order four, they are then far below what an experiment could show.
 FINER_STEPS = 4
-# Change by twice the steps, in standard deviations of each state, that what a model
-# shows may have.
-SHOWN_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,7 +357,7 @@ class _FittedModel:
         hold = hold_of_each(self.data.hold, self.data.inputs)[columns]
         u = experiment.u[:, columns]
         inputs = SampledInputs.of(model, experiment.t, u, hold)
-        x = self._runs.run(inputs, experiment.x0, SHOWN_TOLERANCE)
+        x = self._runs.run(inputs, experiment.x0)
         if x is None:
             return None
         u = inputs.u[inputs.samples]

@@ -2,10 +2,10 @@
 
 `simulate` uses no program and no SRK4, so it can check both. It is not made for
 thousands of runs: `free_run` is. There every interval between two samples is a step of
-Dormand and Prince's explicit scheme of order five. Steps whose error estimate is too
-large (at a kink, say) are cut in parts and the run repeated; it is accepted when half
-the steps change it by less than `TOLERANCE`. What cannot be made accurate in this way
-(a very stiff, broken off or chaotic run) is left to SciPy.
+the classical Runge-Kutta scheme. Two half steps tell its error, and remove most of it.
+Steps whose error is larger than `STEP_TOLERANCE` (at a kink, say) are cut in parts and
+the run repeated. What would need too many of them (a very stiff run, or one that breaks
+off) is left to SciPy.
 """
 
 from bisect import bisect_right
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from threading import get_ident
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -377,9 +377,9 @@ def checked_arguments(
 
 # ---- the fast free run
 
-# Change of the run with twice the steps, in standard deviations of each state along the
-# run.
-TOLERANCE = 1e-6
+# Error of a step, at most, in standard deviations of each state along the run. The run
+# itself is some hundred times as accurate as the sum of these.
+STEP_TOLERANCE = 1e-9
 MOST_STEPS_PER_GAP = 150  # per interval on average, beyond which SciPy is faster
 LARGEST_FACTOR = 8  # parts of a step in one round
 # Steps per call of the compiled loop: large against the cost of a call, small against
@@ -393,7 +393,7 @@ AT_REST = 1e-6
 def free_run(
     model: Model, t: Any, x0: Any, u: Any = None, hold: Hold = "linear"
 ) -> np.ndarray:
-    """`simulate`, accurate to about `TOLERANCE` by steps built once where they serve.
+    """`simulate`, accurate to about 1e-6 by steps built once where they serve.
 
     Raises:
         DataError: wrong shapes, times or numbers, as in `simulate`.
@@ -420,48 +420,25 @@ def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
     return Runs(rates(rhs, np.array(theta)))
 
 
-# Dormand and Prince's coefficients, those of `scipy.integrate.RK45`, whose import takes
-# longer than a small fit.
-NODES = (0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1)
-WEIGHTS = (
-    (),
-    (1 / 5,),
-    (3 / 40, 9 / 40),
-    (44 / 45, -56 / 15, 32 / 9),
-    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
-    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
-    (35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
-)
-ERROR = (-71 / 57600, 0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40)
-
-
 def _step(rhs: ca.Function) -> ca.Function:
-    """One step of Dormand and Prince's scheme of order five, with its error estimate.
+    """A step of the classical Runge-Kutta scheme, extrapolated to order five.
 
     A CasADi function (x, column) -> x after the step, size of the estimated error. The
     column holds the time, the length of the step, the inputs, which change linearly,
-    and their slopes (J. R. Dormand and P. J. Prince 1980, "A family of embedded
-    Runge-Kutta formulae", Journal of Computational and Applied Mathematics 6, 19-26).
+    and their slopes. Two half steps have a sixteenth of the error of a whole one.
     """
-    n_inputs = rhs.size1_in(1)
-    x = ca.SX.sym("x", rhs.size1_in(0))
-    column = ca.SX.sym("column", 2 + 2 * n_inputs)
-    t, h = column[0], column[1]
-    u, slope = column[2 : 2 + n_inputs], column[2 + n_inputs :]
-    rates: list[ca.SX] = []
-
-    def change(weights: Sequence[float]) -> ca.SX:
-        """Length times the sum of weight * rate, without the weights that are zero."""
-        total = ca.SX.zeros(x.numel())
-        for weight, rate in zip(weights, rates, strict=False):
-            total = total + weight * rate if weight else total
-        return h * total
-
-    for weights, c in zip(WEIGHTS, NODES, strict=True):
-        after = x + change(weights)
-        rates.append(rhs(after, u + c * h * slope, t + c * h))
-    error = ca.fabs(change(ERROR))
-    return ca.Function("step", [x, column], [after, error], {"cse": True})
+    x, u, t = argument_symbols(rhs)
+    h = ca.SX.sym("h")
+    slope = ca.SX.sym("slope", u.numel())
+    moving = ca.vertcat(x, u, t)
+    rate = ca.vertcat(rhs(x, u, t), slope, 1.0)
+    f = ca.Function("f", [moving, slope], [rate])
+    whole = ca.simpleRK(f, 1, 4)(moving, slope, h)[: x.numel()]
+    halves = ca.simpleRK(f, 2, 4)(moving, slope, h)[: x.numel()]
+    error = (halves - whole) / 15
+    column = ca.vertcat(t, h, u, slope)
+    after = halves + error
+    return ca.Function("step", [x, column], [after, ca.fabs(error)], {"cse": True})
 
 
 class Runs:
@@ -474,123 +451,70 @@ class Runs:
     def __init__(self, rhs: ca.Function) -> None:
         self.loop = BufferedFunction(_step(rhs).mapaccum(CHUNK))
 
-    def run(
-        self, inputs: SampledInputs, x0: np.ndarray, tolerance: float = TOLERANCE
-    ) -> np.ndarray | None:
+    def run(self, inputs: SampledInputs, x0: np.ndarray) -> np.ndarray | None:
         """The states (n_samples, n_states); None where explicit steps do not serve."""
-        steps = _first_steps(inputs.t)
-        aim = tolerance
-        for _ in range(14):
-            run = self._along(inputs, x0, steps)
-            parts = _parts(run, aim)
+        begins = inputs.t[:-1]
+        gaps = np.diff(inputs.t)
+        samples = np.rint(gaps / np.median(gaps))  # that a gap would have held
+        parts = samples.clip(1, MOST_STEPS_PER_GAP).astype(int)
+        while parts.sum() <= MOST_STEPS_PER_GAP * len(gaps):
+            begins = _cut(begins, inputs.t[-1], parts)
+            x, errors = self._along(inputs, x0, begins)
+            parts = _parts(x, errors)
             if np.all(parts == 1):
-                fine = self._along(inputs, x0, _cut(steps, 2 * parts))
-                change = fine.change_from(run)
-                if change < tolerance:
-                    return fine.x[inputs.samples]
-                if change > 0.1:  # no number of steps will do
-                    return None
-                # Below what would be in proportion; from far off not at once.
-                aim *= max(0.3 * tolerance / change, 1e-3)
-                parts = _parts(run, aim)
-            # This run, and one with half its steps.
-            if 3 * parts.sum() > MOST_STEPS_PER_GAP * len(inputs.t):
-                return None
-            steps = _cut(steps, parts)
+                return x[inputs.samples]
         return None
 
-    def _along(self, inputs: SampledInputs, x0: np.ndarray, steps: "_Steps") -> "_Run":
-        """The run in the given steps; NaN from where it leaves the range of numbers."""
-        columns = _columns(inputs, steps)
-        n_steps = len(steps.h)
-        x = np.full((n_steps, len(x0)), np.nan)
+    def _along(
+        self, inputs: SampledInputs, x0: np.ndarray, begins: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """States at the times, (n, n_states), and errors of steps, (n_steps, n_states).
+
+        NaN from where the run leaves the range of numbers.
+        """
+        columns = _columns(inputs, begins)
+        x = np.full((len(columns), len(x0)), np.nan)
         errors = x.copy()
         at = x0
-        for first in range(0, n_steps, CHUNK):
-            after, error = self.loop(at, columns[first : first + CHUNK])
-            at = after[-1].copy()
-            size = min(CHUNK, n_steps - first)
-            chunk = slice(first, first + size)
-            x[chunk] = after[:size]
-            errors[chunk] = error[:size]
+        for first in range(0, len(columns), CHUNK):
+            chunk = slice(first, first + CHUNK)
+            x[chunk], errors[chunk] = self.loop(at, columns[chunk])
+            at = x[chunk][-1]
             if not np.all(np.isfinite(at)):
                 break
-        ends = np.flatnonzero(np.diff(steps.interval))
-        at_samples = np.append(ends, n_steps - 1)
-        return _Run(np.vstack([x0, x[at_samples]]), errors)
+        last = np.searchsorted(begins, inputs.t[1:]) - 1
+        return np.vstack([x0, x[last]]), errors[: len(begins)]
 
 
-class _Steps(NamedTuple):
-    """Steps, (n_steps,): their interval, time since its sample, and length h."""
-
-    interval: np.ndarray
-    since: np.ndarray
-    h: np.ndarray
-
-
-def _columns(inputs: SampledInputs, steps: _Steps) -> np.ndarray:
+def _columns(inputs: SampledInputs, begins: np.ndarray) -> np.ndarray:
     """Time, length, inputs, slopes of each step, a row each; length 0: unused."""
-    n_steps = len(steps.h)
-    begin = inputs.t[steps.interval] + steps.since
-    slope = inputs.slope[steps.interval]
-    u = inputs.u[steps.interval] + slope * steps.since[:, None]
+    interval = np.searchsorted(inputs.t, begins, side="right") - 1
+    h = np.diff(begins, append=inputs.t[-1])
+    slope = inputs.slope[interval]
+    u = inputs.u[interval] + slope * (begins - inputs.t[interval])[:, None]
     for k, curve in inputs.smooth.items():
-        u[:, k], last, *_ = curve.lines(begin, begin + steps.h)
-        slope[:, k] = (last - u[:, k]) / steps.h
-    columns = np.column_stack([begin, steps.h, u, slope])
-    return np.pad(columns, ((0, -n_steps % CHUNK), (0, 0)))
+        u[:, k], last, *_ = curve.lines(begins, begins + h)
+        slope[:, k] = (last - u[:, k]) / h
+    columns = np.column_stack([begins, h, u, slope])
+    return np.pad(columns, ((0, -len(h) % CHUNK), (0, 0)))
 
 
-class _Run(NamedTuple):
-    """States at the samples, (n_samples, n_states), and the errors of the steps."""
-
-    x: np.ndarray
-    errors: np.ndarray
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether the run stayed in the range of numbers."""
-        return all(np.all(np.abs(values) < LARGEST_VALUE) for values in self)
-
-    @property
-    def scale(self) -> np.ndarray:
-        """Spread of every state, (n_states,); of one that rests a share of its size."""
-        size = np.max(np.abs(self.x), axis=0)
-        least = max(AT_REST**2 * np.max(size), TINY)
-        return np.maximum(np.std(self.x, axis=0), np.maximum(AT_REST * size, least))
-
-    def change_from(self, other: "_Run") -> float:
-        """Largest difference at a sample, in spreads of the states."""
-        if not self.is_finite:
-            return np.inf
-        return float(np.max(np.abs(self.x - other.x) / self.scale))
-
-
-def _first_steps(t: np.ndarray) -> _Steps:
-    """A step per interval; in a gap as many as the samples that it would have held."""
-    h = np.diff(t)
-    samples = np.rint(h / np.median(h))
-    parts = samples.clip(1, MOST_STEPS_PER_GAP).astype(int)
-    whole = _Steps(np.arange(len(h)), np.zeros(len(h)), h)
-    return _cut(whole, parts)
-
-
-def _parts(run: _Run, aim: float) -> np.ndarray:
-    """Parts to cut each step into, (n_steps,), for estimated errors of at most aim."""
-    if not run.is_finite:
-        return np.full(len(run.errors), LARGEST_FACTOR // 2)
-    errors = np.max(run.errors / run.scale, axis=1)  # of every step
-    factor = (errors / aim) ** 0.2  # of order five
-    parts = np.ceil(np.clip(factor, 1, LARGEST_FACTOR)).astype(int)
-    is_cut = parts > 1
-    # At a kink the order is lower than five, and few steps are cheap to cut.
-    return np.where(is_cut, LARGEST_FACTOR, 1) if np.mean(is_cut) < 0.03 else parts
-
-
-def _cut(steps: _Steps, parts: np.ndarray) -> _Steps:
-    """Each step cut into equal parts."""
+def _cut(begins: np.ndarray, end: float, parts: np.ndarray) -> np.ndarray:
+    """The begins of steps, each cut into equal parts; the last one ends at the end."""
+    h = np.repeat(np.diff(begins, append=end) / parts, parts)
     first = np.repeat(np.cumsum(parts) - parts, parts)
-    h = np.repeat(steps.h / parts, parts)
-    place = np.arange(len(h)) - first
-    since = np.repeat(steps.since, parts) + place * h
-    return _Steps(np.repeat(steps.interval, parts), since, h)
+    return np.repeat(begins, parts) + (np.arange(len(h)) - first) * h
+
+
+def _parts(x: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Parts to cut each step into, (n_steps,), so that its error is small enough.
+
+    Errors are compared with the spread of the states along the run, (n, n_states).
+    """
+    size = np.max(np.abs(x), axis=0)
+    if not np.all(size < LARGEST_VALUE):  # the run left the range of numbers
+        return np.full(len(errors), LARGEST_FACTOR // 2)
+    least = max(AT_REST**2 * np.max(size), TINY)
+    spread = np.maximum(np.std(x, axis=0), np.maximum(AT_REST * size, least))
+    share = np.max(errors / spread, axis=1) / STEP_TOLERANCE
+    return np.ceil(np.clip(share**0.2, 1, LARGEST_FACTOR)).astype(int)
