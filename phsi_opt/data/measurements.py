@@ -9,13 +9,13 @@ filtered. How tables are read is in `table_readers`, how integration steps join 
 
 import hashlib
 import operator
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial, wraps
+from functools import cached_property, partial
 from itertools import compress, pairwise
 from textwrap import fill
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -50,24 +50,6 @@ if TYPE_CHECKING:
 
     from phsi_opt.presentation.charts import Chart
     from phsi_opt.presentation.tables import PrintedTable
-
-Arguments = ParamSpec("Arguments")
-Derived = Callable[Concatenate["Measurements", Arguments], np.ndarray]
-
-
-def worked_out_once(make: Derived[Arguments]) -> Derived[Arguments]:
-    """A function of measurements whose values, (n,) or more, are kept with them."""
-
-    @wraps(make)
-    def kept(
-        data: "Measurements", *args: Arguments.args, **kwargs: Arguments.kwargs
-    ) -> np.ndarray:
-        key = (make.__name__, args)
-        if key not in data._derived:
-            data._derived[key] = make(data, *args, **kwargs)
-        return data._derived[key].copy()
-
-    return kept
 
 
 @partial(typed, error=DataError)
@@ -193,11 +175,6 @@ class Measurements(TableReaders, Summarised):
         """
         require_known(what, ("t", "x", "u"), f"stacked: {shown(what)}", DataError)
         return np.concatenate([getattr(run, what) for run in self.trajectories])
-
-    @cached_property
-    def _derived(self) -> dict[Hashable, np.ndarray]:
-        """What `worked_out_once` keeps."""
-        return {}
 
     @cached_property
     def digest(self) -> str:
@@ -429,11 +406,15 @@ class Measurements(TableReaders, Summarised):
         return frame
 
     @cached_property
+    def computed_look(self) -> DataLook:
+        """The clock and every channel in the units in which they are computed."""
+        fields = (self.trajectories, self.states, self.inputs, self.units)
+        return DataLook(*fields, tuple(hold_of_each(self.hold, self.inputs)))
+
+    @cached_property
     def look(self) -> DataLook:
         """The clock and every channel as they are seen before there is a model."""
-        data = self.as_written()
-        fields = (data.trajectories, data.states, data.inputs, data.units)
-        return DataLook(*fields, tuple(hold_of_each(self.hold, self.inputs)))
+        return self.as_written().computed_look
 
     @property
     def noticed(self) -> "PrintedTable":

@@ -11,18 +11,13 @@ noises of their own.
 """
 
 from itertools import compress
+from operator import attrgetter
 
 import numpy as np
 
 from phsi_opt.criteria import RESOLVED_STEPS, SURE_LEVEL
-from phsi_opt.data.channel_noise import (
-    DEVIATION_PER_STEP,
-    resolution,
-    robust_deviation,
-    scatter_of,
-)
-from phsi_opt.data.measurements import Measurements, worked_out_once
-from phsi_opt.data.trajectory import run_numbers
+from phsi_opt.data.channel_noise import DEVIATION_PER_STEP, robust_deviation
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
 from phsi_opt.statistics import chi_square_tail
 
@@ -32,7 +27,6 @@ LEAST_NOISE_SHARE = 1e-5
 LEAST_SIZE = 1e-12  # taken for the size of a channel that is zero throughout, its unit
 
 
-@worked_out_once
 def difference_noise(data: Measurements) -> np.ndarray:
     """Standard deviation of the noise per state, from differences of neighbours.
 
@@ -45,17 +39,7 @@ def difference_noise(data: Measurements) -> np.ndarray:
     At least what quantisation makes of the values: most differences of a slow signal
     are then zero. (n_states,), NaN with fewer than 5 samples in every trajectory.
     """
-    noise = np.empty(data.n_states)
-    for k in range(data.n_states):
-        noise[k] = robust_deviation(scatter_residuals(data, k)[1])
-    return np.maximum(noise, quantisation_noise(data))
-
-
-@worked_out_once
-def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
-    """Residuals of the samples of a state, `r_i` above, as `scatter_of`."""
-    run = run_numbers(data.trajectories)
-    return scatter_of(data.stacked("t"), data.stacked("x")[:, state], run)
+    return _of_states(data, "noise")
 
 
 def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.ndarray:
@@ -96,7 +80,6 @@ def least_noise(y: np.ndarray) -> np.ndarray:
     return LEAST_NOISE_SHARE * np.where(moves, spread, size)
 
 
-@worked_out_once
 def channel_spread(data: Measurements) -> np.ndarray:
     """Standard deviation of the measured values per state, (n_states,).
 
@@ -146,7 +129,7 @@ def scatter_by_run(data: Measurements) -> np.ndarray:
 
 def _of_runs(data: Measurements, state: int) -> np.ndarray:
     """What neighbouring samples of each trajectory scatter, (n_trajectories,)."""
-    run, residuals = scatter_residuals(data, state)
+    run, residuals = data.computed_look.channels[state].scatter
     ends = np.searchsorted(run, np.arange(1, data.n_trajectories))
     return np.array(list(map(robust_deviation, np.split(residuals, ends))))
 
@@ -162,13 +145,13 @@ def _differ(values: np.ndarray, variances: np.ndarray) -> bool:
 # ---- quantised sensors ---------------------------------------------------------------
 
 
-@worked_out_once
 def quantisation_noise(data: Measurements) -> np.ndarray:
     """Standard deviation of quantisation alone, (n_states,); 0 where there is none."""
-    steps = np.zeros(data.n_states)
-    for k in range(data.n_states):
-        steps[k] = resolution([run.x[:, k] for run in data.trajectories])
-    return DEVIATION_PER_STEP * steps
+    return DEVIATION_PER_STEP * _of_states(data, "resolution")
+
+
+def _of_states(data: Measurements, what: str) -> np.ndarray:
+    return np.array(list(map(attrgetter(what), data.computed_look.state_looks)))
 
 
 def unresolved_channels(data: Measurements) -> tuple[str, ...]:
@@ -176,6 +159,6 @@ def unresolved_channels(data: Measurements) -> tuple[str, ...]:
 
     The errors of their values follow the motion and are no noise.
     """
-    steps = quantisation_noise(data) / DEVIATION_PER_STEP
+    steps = _of_states(data, "resolution")
     is_coarse = (steps > 0) & (channel_spread(data) < RESOLVED_STEPS * steps)
     return tuple(compress(data.states, is_coarse))

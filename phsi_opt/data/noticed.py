@@ -38,19 +38,51 @@ NO_SAMPLES = np.array([], dtype=int)
 class ChannelLook:
     """One channel; samples are numbered through all trajectories."""
 
+    look: "DataLook"
     name: str
-    unit: str
     hold: str  # of an input between samples; "" for a state
     values: np.ndarray  # (n_samples,), NaN where not measured
-    resolution: float  # the step in which it is quantised; 0 if it is not
-    noise: float  # standard deviation by differences of neighbours; NaN: not known
-    outliers: np.ndarray  # single samples far from both neighbours
-    at_limit: np.ndarray  # samples that stay at the largest or the smallest value
+
+    @property
+    def unit(self) -> str:
+        return self.look.units[self.name]
 
     @cached_property
     def known(self) -> np.ndarray:
         """The numbers of the samples that were measured."""
         return np.flatnonzero(np.isfinite(self.values))
+
+    @cached_property
+    def resolution(self) -> float:
+        """The step in which it is quantised; 0 if it is not."""
+        return resolution(np.split(self.values, self.look.ends))
+
+    @cached_property
+    def scatter(self) -> np.ndarray:
+        """Run and residual of samples against their neighbours, see `scatter_of`."""
+        return scatter_of(self.look.t, self.values, self.look.run)
+
+    @cached_property
+    def noise(self) -> float:
+        """Standard deviation by differences of neighbours; it may be unknown, NaN."""
+        if self.hold == "zero":  # steps are no noise
+            return np.nan
+        deviation = robust_deviation(self.scatter[1])
+        return max(deviation, DEVIATION_PER_STEP * self.resolution)
+
+    @cached_property
+    def outliers(self) -> np.ndarray:
+        """Single samples far from both neighbours."""
+        if self.hold == "zero":  # a held pulse is meant
+            return NO_SAMPLES
+        known = self.known
+        of_known = (self.look.t[known], self.values[known], self.look.run[known])
+        return known[lone_peaks(*of_known, self.noise)]
+
+    @cached_property
+    def at_limit(self) -> np.ndarray:
+        """Samples that stay at the largest or the smallest value."""
+        return NO_SAMPLES if self.hold else samples_at_limit(self.values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,22 +225,8 @@ class DataLook:
         """The states and then the inputs, in their order."""
         values = (*self._stacked("x").T, *self._stacked("u").T)
         holds = ("",) * len(self.states) + self.hold
-        return tuple(map(self._look, self.states + self.inputs, values, holds))
-
-    def _look(self, name: str, values: np.ndarray, hold: str) -> ChannelLook:
-        step = resolution(np.split(values, self.ends))
-        residuals = scatter_of(self.t, values, self.run)[1]
-        noise = np.nan
-        if hold != "zero":  # steps are no noise
-            noise = max(robust_deviation(residuals), DEVIATION_PER_STEP * step)
-        outliers = NO_SAMPLES
-        if hold != "zero":  # a held pulse is meant
-            known = np.flatnonzero(np.isfinite(values))
-            of_known = (self.t[known], values[known], self.run[known])
-            outliers = known[lone_peaks(*of_known, noise)]
-        at_limit = NO_SAMPLES if hold else samples_at_limit(values)
-        unit = self.units[name]
-        return ChannelLook(name, unit, hold, values, step, noise, outliers, at_limit)
+        look = partial(ChannelLook, self)
+        return tuple(map(look, self.states + self.inputs, holds, values))
 
     @property
     def state_looks(self) -> tuple[ChannelLook, ...]:
