@@ -123,7 +123,8 @@ def simulate_forced(
     states[0] = x0
     size = max(float(np.max(np.abs(x0))), 1e-3)  # below, `atol` falls no more
     for first, last, value, longest in pieces:
-        rate = _Rate(f, model.theta, force, value, last - first)
+        most = ALWAYS_ALLOWED + MOST_PER_SAMPLE * (last - first)
+        rate = _Rate(f, model.theta, force, value, most)
         times = t[first : last + 1]
         with np.errstate(all="ignore"):
             solution = scipy.integrate.solve_ivp(
@@ -259,27 +260,19 @@ class BufferedFunction:
         return self._results
 
 
+@dataclass
 class _Rate:
     """The right-hand side along a piece, with a bound on the number of calls."""
 
     # It stops a solver that calls it for ever where the solution ends, or with far more
     # steps than there are samples.
-
-    def __init__(
-        self,
-        f: BufferedFunction,
-        theta: np.ndarray,
-        force: Force | None,
-        value: Input,
-        n_samples: int,
-    ) -> None:
-        self.f = f
-        self.theta = theta
-        self.force = force
-        self.value = value
-        self.furthest = -np.inf
-        self.waited = 0
-        self.left = ALWAYS_ALLOWED + MOST_PER_SAMPLE * n_samples
+    f: BufferedFunction
+    theta: np.ndarray
+    force: Force | None
+    value: Input
+    left: int  # calls
+    furthest: float = -np.inf
+    waited: int = 0
 
     def __call__(self, at: float, x: np.ndarray) -> np.ndarray:
         if at > self.furthest:
