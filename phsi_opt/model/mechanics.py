@@ -7,8 +7,6 @@ H, what brakes into R, and the rest into F. SymPy integrates and differentiates.
 
 import re
 from collections.abc import Mapping, Sequence
-from functools import partial
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -116,17 +114,14 @@ def mechanical(
         if one.isidentifier():
             known.setdefault(one, Parameter(1.0, lower=0.0))
         masses.append(one if one.isidentifier() else f"({one})")
-    losses, potentials, forces_left = _sums_of(
-        laws, positions, velocities, (*inputs, "t")
-    )
     efforts = dict(zip(velocities, variables.efforts[len(positions) :], strict=True))
+    losses, potentials, forces_left = _sums_of(laws, positions, efforts, (*inputs, "t"))
 
     def by_momentum(slot: str, sums: "list[sp.Expr]") -> dict[str, Dictionary]:
         found = {}
         for momentum, one in zip(momenta, sums, strict=True):
             if one:
-                text = _text(one, efforts)
-                found[momentum] = variables.formula(text, slot, known)
+                found[momentum] = variables.formula(_text(one), slot, known)
         return found
 
     R = by_momentum("R", losses)
@@ -183,24 +178,29 @@ def _check_mass(text: str, moving: set[str], known: Mapping[str, Parameter]) -> 
 def _sums_of(
     laws: Sequence[str],
     positions: Sequence[str],
-    velocities: Sequence[str],
+    efforts: Mapping[str, str],
     others: Sequence[str],
 ) -> "tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]":
-    """Losses by coordinate, potentials by parameters, forces by coordinate."""
+    """Losses by coordinate, potentials by parameters, forces by coordinate.
+
+    Velocities are written as the efforts that they are.
+    """
     import sympy as sp
 
     from phsi_opt.model.sympy_backend import SYMPY, n_expanded
 
-    variables = (*positions, *velocities, *others)
+    variables = (*positions, *efforts, *others)
     symbols = {}
     for name in sorted(frozenset(variables).union(*map(names_of, laws))):
         # A parameter that may be zero would need cases in an integral.
         is_parameter = name not in variables or None
-        symbols[name] = sp.Symbol(name, real=True, nonzero=is_parameter)
+        written = efforts.get(name, name)
+        symbols[name] = sp.Symbol(written, real=True, nonzero=is_parameter)
     positive = {}
     for name in symbols.keys() - variables:
         positive[symbols[name]] = sp.Dummy(positive=True)
-    outside = set(map(symbols.__getitem__, (*velocities, *others)))
+    velocities = list(map(symbols.__getitem__, efforts))
+    outside = {*velocities, *map(symbols.__getitem__, others)}
     x = list(map(symbols.__getitem__, positions))
     losses = [sp.Integer(0)] * len(x)
     forces = list(losses)
@@ -210,7 +210,7 @@ def _sums_of(
         if n_expanded(law) <= MOST_EXPANDED:
             law = law.expand(power_exp=False, power_base=False, log=False)
         for term in sp.Add.make_args(law):
-            loss = -term / symbols[velocities[k]]
+            loss = -term / velocities[k]
             if term.free_symbols.isdisjoint(outside):
                 own = frozenset(term.free_symbols & positive.keys())
                 fields.setdefault(own, [sp.Integer(0)] * len(x))[k] += term
@@ -264,12 +264,7 @@ def _potential(field: "list[sp.Expr]", x: "list[sp.Symbol]") -> "sp.Expr | None"
     return V
 
 
-def _text(total: "sp.Expr", efforts: Mapping[str, str] = MappingProxyType({})) -> str:
-    """An expression as a formula, with efforts in place of velocities."""
-    import sympy as sp
-
+def _text(expression: "sp.Expr") -> str:
     from phsi_opt.model.sympy_backend import formula_text
 
-    for symbol in total.free_symbols & set(map(partial(sp.Symbol, real=True), efforts)):
-        total = total.xreplace({symbol: sp.Symbol(efforts[symbol.name])})
-    return formula_text(total)
+    return formula_text(expression)
