@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.expressions import CONSTANTS, FUNCTIONS, Backend, evaluate
+from phsi_opt.model.expressions import CONSTANTS, FUNCTIONS, Backend
 from phsi_opt.model.parameters import Scan, Tried
 from phsi_opt.model.slots import PlacedTerm
 from phsi_opt.presentation.units import (
@@ -238,28 +238,24 @@ class Equations:
 
     def _say_term(self, placed: PlacedTerm) -> None:
         """A term has the unit of its slot."""
-        slot, equation, term = placed
+        slot, equation, _ = placed
         rate: Form = {equation: 1.0, "t": -1.0}
-        names = self._variables(rate)
-        for inner in term.inner:
-            names[inner] = {placed.parameter_name(inner): 1.0}
+        names = self._names(rate)
         quantities = {name: _Quantity(self, form) for name, form in names.items()}
         functions = {name: partial(self._called, name) for name in FUNCTIONS}
         constants = dict.fromkeys(CONSTANTS, _Quantity(self, {}))
         backend = Backend(functions, partial(self._number, placed), constants)
-        own = evaluate(term.body, quantities, backend).form
-        if not term.is_formula:
-            own = product(own, {placed.parameter_name(): 1.0})
+        own = placed.value(quantities, backend).form
         if slot == "R":
             rate = product(rate, self._effort(equation), -1.0)
         of_slot = {"H": {WHOLE_ENERGY: 1.0}, "sensor": {equation: 1.0}}.get(slot, rate)
         self.alike(own, of_slot, own)
 
-    def _variables(self, rate: Form) -> dict[str, Form]:
-        """The forms of all names in an equation of that rate but a term's own."""
+    def _names(self, rate: Form) -> dict[str, Form]:
+        """The forms of all names in an equation of that rate, and of the parameters."""
         model = self._model
         names: dict[str, Form] = {}
-        for name in ("t", *model.states, *model.inputs, *model.names_in_formulas):
+        for name in ("t", *model.states, *model.inputs, *model.entries):
             names[name] = {name: 1.0}
         for effort, state in zip(model.efforts, model.states, strict=True):
             names[effort] = self._effort(state)

@@ -9,11 +9,18 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from phsi_opt.data.checks import RESERVED_PREFIXES
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.model.expressions import delays_in, is_linear, names_of
+from phsi_opt.model.expressions import (
+    CASADI,
+    Backend,
+    delays_in,
+    evaluate,
+    is_linear,
+    names_of,
+)
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
 
@@ -54,6 +61,14 @@ class PlacedTerm(NamedTuple):
     def parameter_name(self, inner: str = "") -> str:
         """Name in the model of its coefficient, or of an inner parameter."""
         return self.term.parameter_name(self.place, inner)
+
+    def value(self, names: Mapping[str, Any], backend: Backend = CASADI) -> Any:
+        """Its value, where the variables and the model's parameters are by name."""
+        known = dict(names)
+        for inner in self.term.inner:
+            known[inner] = names[self.parameter_name(inner)]
+        body = evaluate(self.term.body, known, backend)
+        return body if self.term.is_formula else names[self.parameter_name()] * body
 
     def entries(self) -> list[Entry]:
         """The term's parameters, by their names in the model; its coefficient first."""

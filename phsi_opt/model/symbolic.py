@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.expressions import CASADI, Backend, evaluate, names_of
+from phsi_opt.model.expressions import CASADI, Backend, names_of
 from phsi_opt.model.slots import PlacedTerm
 from phsi_opt.model.terms import Term
 from phsi_opt.presentation.summary import Part, Summary, printed_table
@@ -102,21 +102,13 @@ class Expressions:
         efforts = zip(self.model.efforts, self.efforts, strict=True)
         return {**self._variables, **dict(efforts)}
 
-    def term(self, placed: PlacedTerm, known: Mapping[str, Any]) -> Any:
-        """The value of a term in variables that are known by name."""
-        term = placed.term
-        names = {**self.values, **known}
-        for inner in term.inner:
-            names[inner] = self.values[placed.parameter_name(inner)]
-        body = evaluate(term.body, names, self.backend)
-        return body if term.is_formula else self.values[placed.parameter_name()] * body
-
     def _at(self, slot: str, equation: str) -> list[PlacedTerm]:
         terms = self.model.terms_at(slot, equation)
         return [PlacedTerm(slot, equation, term) for term in terms]
 
     def _total(self, terms: Iterable[PlacedTerm], known: Mapping[str, Any]) -> Any:
-        return sum(self.term(placed, known) for placed in terms)
+        names = {**self.values, **known}
+        return sum(placed.value(names, self.backend) for placed in terms)
 
     def _by_state(self, slot: str) -> list[Any]:
         states = self.model.states
@@ -181,8 +173,9 @@ def terms_function(model: BaseModel) -> ca.Function:
     """
 
     def values(parts: Expressions) -> ca.SX:
-        known = {**parts.known, **dict.fromkeys(model.variables.slopes, ca.SX(0))}
-        found = [ca.SX(parts.term(placed, known)) for placed in model.placed()]
+        names = {**parts.values, **parts.known}
+        names |= dict.fromkeys(model.variables.slopes, ca.SX(0))
+        found = [ca.SX(placed.value(names)) for placed in model.placed()]
         energies = ca.vertcat(*found[: len(model.H)])
         others = ca.vertcat(*found[len(model.H) :])
         slopes = ca.jacobian(energies, ca.vertcat(*parts.x))
