@@ -11,10 +11,9 @@ most of it empty, a coarser one is sought within half a digit.
 """
 
 from collections.abc import Sequence
+from itertools import permutations
 
 import numpy as np
-
-NEIGHBOURS = (-2, -1, 1, 2)  # samples through which the cubic goes, from the middle
 
 # Errors of a stored number, as a share of the largest one of the channel: of single
 # precision, of double precision after a change of unit. The larger one first: single
@@ -30,18 +29,25 @@ DEVIATION_PER_STEP = 1 / np.sqrt(12)  # of an error that is uniform over one ste
 
 
 def scatter_of(t: np.ndarray, values: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """Residuals of samples against the cubic through their neighbours.
+    """Residuals of samples against the cubic through their four neighbours.
 
     Of all trajectories at once: there may be thousands of short ones. (2, n_residuals):
     the number of the trajectory of each, and the residuals.
     """
     is_measured = np.isfinite(values)
-    run = run[is_measured]
-    t = t[is_measured]
-    reach = max(NEIGHBOURS)
-    middle = np.arange(reach, len(t) - reach)
-    middle = middle[run[middle - reach] == run[middle + reach]]
-    return np.vstack([run[middle], _cubic_residuals(t, values[is_measured], middle)])
+    t, values, run = t[is_measured], values[is_measured], run[is_measured]
+    middle = np.arange(2, len(t) - 2)
+    middle = middle[run[middle - 2] == run[middle + 2]]
+    near = middle + np.arange(-2, 3)[:, None]
+    # The residual is a multiple of the fourth divided difference; noise of unit size
+    # gives it the size of its weights.
+    at = t[near]
+    products = np.ones(near.shape)
+    for one, other in permutations(range(5), 2):
+        products[one] *= at[one] - at[other]
+    weights = 1 / products
+    difference = np.sum(weights * values[near], axis=0)
+    return np.vstack([run[middle], difference / np.linalg.norm(weights, axis=0)])
 
 
 def robust_deviation(residuals: np.ndarray) -> float:
@@ -53,21 +59,6 @@ def robust_deviation(residuals: np.ndarray) -> float:
     if not len(residuals):
         return np.nan
     return float(np.median(np.abs(residuals)) / 0.6745)
-
-
-def _cubic_residuals(t: np.ndarray, y: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Residuals of samples ``middle`` (n_middle,), with neighbours on both sides."""
-    at = {offset: t[middle + offset] for offset in (0, *NEIGHBOURS)}
-    predicted = np.zeros(len(middle))
-    variance = np.zeros(len(middle))  # of the prediction, for noise of unit size
-    for offset in NEIGHBOURS:
-        weight = np.ones(len(middle))  # in the cubic's value in the middle
-        for other in NEIGHBOURS:
-            if other != offset:
-                weight *= (at[0] - at[other]) / (at[offset] - at[other])
-        predicted += weight * y[middle + offset]
-        variance += weight**2
-    return (y[middle] - predicted) / np.sqrt(1 + variance)
 
 
 def resolution(runs: Sequence[np.ndarray]) -> float:
