@@ -239,9 +239,9 @@ def test_init_and_page_hold_the_input_that_jumps(tmp_path: Path) -> None:
     assert "hold" not in contents["torque"]
     column = draft.column_named("input", "voltage_input")
     assert column is not None
-    column.becomes("state")
+    column.part = "state"
     assert "hold" not in column.content()
-    column.becomes("input")
+    column.part = "input"
     assert column.content()["hold"] == "zero"
 
 

@@ -20,7 +20,6 @@ import phsi_opt as ph
 from phsi_opt.page.draft_views import EXAMPLES, unknown_names
 from phsi_opt.page.drafts import (
     MOST_UPLOADED,
-    NOT_USED,
     NOTHING,
     RUNS,
     ColumnDraft,
@@ -36,7 +35,7 @@ from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import beside, rows_of
 from phsi_opt.page.worker import Shown, Turns, waits
 from phsi_opt.presentation.content import StudyContent
-from phsi_opt.study_file.columns import INPUT, STATE, TIME
+from phsi_opt.study_file.columns import INPUT, STATE, TIME, UNUSED
 from phsi_opt.study_file.gallery import GALLERY
 from phsi_opt.study_file.toml_text import toml_tables
 from tests.page_tools import contrast, spring_table
@@ -170,7 +169,7 @@ def test_the_file_of_a_logger_is_a_table(
         assert session.seen_data.chart is not None, session.complaints
         assert session.draft.data is not None
         assert session.draft.content()["data"]["group"] == "fast"
-        assert [one.unit for one in session.draft.data.with_role(STATE)] == ["mm"]
+        assert [one.unit for one in session.draft.data.of_part(STATE)] == ["mm"]
     else:
         said = "file 'log.TDMS' needs nptdms. Install it: pip install"
         assert said in session.upload_error
@@ -254,9 +253,10 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     ]
     data = DataDraft({"a.csv": Path("a.csv")}, columns)
     match_states(data, GALLERY["pendulum"])
-    assert columns[1].role == "not used"
-    force = data.with_role("input")[0]
-    force.table["name"] = "force"
+    assert columns[1].part == "left out"
+    force = columns[2]
+    assert force.part == "left out", "an input in N, where a torque acts"
+    force.name = "force"
     base = match_states(data, GALLERY["mass"])
     assert data.column_named(STATE, "q") is columns[1], "it comes back"
     assert data.column_named(STATE, "v") is columns[0], "a velocity is no momentum"
@@ -264,7 +264,7 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     draft = draft_of(base, data)
     assert (force.name, draft.names("inputs")) == ("u", ["u"])
     assert draft.table["F"] == {"q": "v", "v": "-(k*q + c*v)/m + u/m"}
-    columns[0].becomes(NOT_USED)
+    columns[0].part = UNUSED
     assert match_states(data, GALLERY["mass"]) is GALLERY["mass"]
     assert data.unmeasured == {"p": "kg m/s"}
     assert not any(one.is_assumed for one in draft.parameters), "a force shows the mass"
@@ -277,7 +277,7 @@ def test_a_column_taken_for_a_state_is_the_input_that_a_base_model_needs() -> No
     ]
     data = DataDraft({"a.csv": Path("a.csv")}, columns)
     match_states(data, GALLERY["rlc"])
-    assert [(one.role, one.name) for one in columns] == [(INPUT, "u"), (STATE, "i")]
+    assert [(one.part, one.name) for one in columns] == [(INPUT, "u"), (STATE, "i")]
     assert data.unmeasured == {"uC": "V"}
     assert draft_of(GALLERY["rlc"], data).names("inputs") == ["u"]
 
@@ -312,10 +312,10 @@ def test_dates_are_read_in_the_order_of_which_they_can_be(tmp_path: Path) -> Non
     assert date.table["date_format"] == "%m/%d/%Y %H:%M:%S"
     session.choose(GALLERY["room"])
     assert not [one for one in session.check() if one.key.startswith("data.time")]
-    date.becomes(NOT_USED)
+    date.part = UNUSED
     data.time |= {"step": 5.0, "unit": "min"}
     assert not [one for one in session.check() if one.key.startswith("data.time")]
-    date.becomes(TIME)
+    date.part = TIME
     assert date.table["date_format"] == "%m/%d/%Y %H:%M:%S"
 
 
@@ -399,7 +399,7 @@ def test_the_measurements_are_drawn_before_there_is_a_model(tmp_path: Path) -> N
     session.draft.data.columns[2].table["unit"] = "metre"
     session.check()
     assert session.seen_data.rows[1]["unit"] == "metre"
-    session.draft.data.columns[1].becomes(NOT_USED)
+    session.draft.data.columns[1].part = UNUSED
     session.check()
     assert session.seen_data.chart is None
     session.close()

@@ -14,12 +14,12 @@ from phsi_opt.model.slots import Variables
 from phsi_opt.page.drafts import (
     ENERGY,
     FIRST_ORDER,
+    KEYS_OF_PARTS,
     KEYS_OF_WAYS,
     MOST_FILES,
     MOST_UPLOADED,
-    NOT_USED,
     NOTHING,
-    ROLES,
+    PARTS_OF_COLUMNS,
     RUNS,
     STUDY_KIND,
     TABLE_KINDS,
@@ -49,7 +49,7 @@ from phsi_opt.page.parts import (
 )
 from phsi_opt.page.session import Session
 from phsi_opt.presentation.numbers import capitalised, number_of
-from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME
+from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME, UNUSED
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
 from phsi_opt.study_file.keys import KEYS_OF, listed
 
@@ -74,10 +74,10 @@ STUDY_PART = "3 Study"
 TELL_REJECTED = """(rejected) => emit(
   rejected.map(one => ({name: one.file.name, size: one.file.size})))"""
 DATA_SECTIONS = ("data", *USUAL_WAYS)
-FIELDS_OF_ROLE = {
-    TIME: ("data.time", "unit date_format"),
-    STATE: ("data.states.*", "name unit noise"),
-    INPUT: ("data.inputs.*", "name unit hold"),
+FIELDS_OF_PART = {
+    TIME: "unit date_format",
+    STATE: "name unit noise",
+    INPUT: "name unit hold",
 }
 
 
@@ -188,7 +188,7 @@ class DataView:
                 choice(word, sorted(data.sheets), data.sheets[0], self._set_sheet)
             for column in data.columns:
                 self._column(data, column)
-            if not data.with_role(TIME):
+            if not data.of_part(TIME):
                 fields(data.time, "data.time", "step unit", self.checked, "the times")
             fields(data.settings, "data", "thinned", self.checked)
             about = self.session.draft.kept.setdefault("study", {})
@@ -201,11 +201,11 @@ class DataView:
         await run.io_bound(self.session.choose_sheet, name)
 
     def _column(self, data: DataDraft, column: ColumnDraft) -> None:
-        async def set_role(role: str) -> None:
-            if role in (TIME, RUN):
-                for known in data.with_role(role):
-                    known.role = NOT_USED  # there is one time, and one column of runs
-            column.becomes(role)
+        async def set_part(part: str) -> None:
+            if part in (TIME, RUN):
+                for known in data.of_part(part):
+                    known.part = UNUSED  # there is one time, and one column of runs
+            column.part = part
             self.table.refresh()
             await self.checked()
 
@@ -213,11 +213,11 @@ class DataView:
             with ui.element("div").style("width: 11em"):
                 ui.label(column.title).style("font-weight: 600")
                 ui.label(", ".join(column.examples)).classes("faint formula")
-            roles = ROLES if column.is_numeric else (TIME, RUN, NOT_USED)
-            choice(f"{column.title} is", roles, column.role, set_role)
-            if column.role in FIELDS_OF_ROLE:
-                of_role = FIELDS_OF_ROLE[column.role]
-                fields(column.table, *of_role, self.checked, column.title)
+            parts = PARTS_OF_COLUMNS if column.is_numeric else (TIME, RUN, UNUSED)
+            choice(f"{column.title} is", parts, column.part, set_part)
+            if column.part in KEYS_OF_PARTS:
+                shown = (KEYS_OF_PARTS[column.part], FIELDS_OF_PART[column.part])
+                fields(column.table, *shown, self.checked, column.title)
 
     @ui.refreshable_method
     def parts(self) -> None:
@@ -375,17 +375,17 @@ class ModelView:
                 ui.label(name).classes("formula").style("width: 5em")
                 self._column(INPUT, name)
 
-    def _column(self, role: str, name: str) -> None:
+    def _column(self, part: str, name: str) -> None:
         data = self.session.draft.data
         if data is None:
             return
-        options = [NOT_MEASURED] if role == STATE else []
+        options = [NOT_MEASURED] if part == STATE else []
         options += [one.title for one in data.columns if one.is_numeric]
-        known: ColumnDraft | None = data.column_named(role, name)
+        known: ColumnDraft | None = data.column_named(part, name)
 
         async def changed(column: str) -> None:
             chosen = None if column == NOT_MEASURED else column
-            data.measure(role, name, chosen)
+            data.measure(part, name, chosen)
             self.session.shape += 1
             await self.checked()
 

@@ -16,13 +16,18 @@ from typing import Any, NamedTuple
 
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.file_opening import NamedFile
-from phsi_opt.data.tables import numbers_in
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.numbers import shortened
 from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME, UNUSED
-from phsi_opt.study_file.gallery import GALLERY, BaseModel, matched, with_units
-from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, listed, usable
+from phsi_opt.study_file.gallery import GALLERY, BaseModel, give_parts, with_units
+from phsi_opt.study_file.keys import (
+    KEYS_OF,
+    Complaints,
+    TooManyComplaintsError,
+    listed,
+    usable,
+)
 from phsi_opt.study_file.sections import without
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.study_text import text_of
@@ -31,9 +36,10 @@ from phsi_opt.study_file.toml_text import tables_of, toml_tables, toml_value
 
 Content = dict[str, Any]
 
-NOT_USED = "not used"
-ROLES = (TIME, RUN, STATE, INPUT, NOT_USED)
+PARTS_OF_COLUMNS = (TIME, RUN, STATE, INPUT, UNUSED)  # that a column may be
 CHANNELS = {STATE: "states", INPUT: "inputs"}  # sections of [data]
+# Where a study file has the keys of a column that is this part.
+KEYS_OF_PARTS = {TIME: "data.time", STATE: "data.states.*", INPUT: "data.inputs.*"}
 KEYS_OF_COLUMNS = ("files", "trajectory", "time", *CHANNELS.values())
 
 NOTHING = "nothing"
@@ -119,20 +125,24 @@ class ColumnDraft:
 
     # its header, its position where there is none, or those of date and time of day
     column: str | int | tuple[str, ...]
-    role: str = NOT_USED  # one of ``ROLES``
-    # That of the study file without the column, and with the name.
+    part: str = UNUSED  # one of ``PARTS_OF_COLUMNS``
+    # That of the study file, and the name; also what its cells tell of it as another
+    # part: an input that is held, dates of a time.
     table: Content = field(default_factory=dict)
     examples: tuple[str, ...] = ()  # its first cells
     is_numeric: bool = True  # whether it holds numbers; else it can only name runs
-    # What its cells tell of it in a role: an input that is held, dates of a time.
-    seen: dict[str, Content] = field(default_factory=dict)
-    # A state to the user, for which the base model that was chosen last has no place.
-    fits_no_state: bool = False
+    may_be_input: bool = False  # whether it is a state only for want of a better guess
+    # Which part it is to the user, where the base model has no place for it.
+    lost: str = ""
 
     @property
     def name(self) -> str:
         """In formulas; "" where it has none."""
         return str(self.table.get("name", ""))
+
+    @name.setter
+    def name(self, name: str) -> None:
+        self.table["name"] = name
 
     @property
     def title(self) -> str:
@@ -144,14 +154,12 @@ class ColumnDraft:
         """Such as "m"; "" where it is unknown."""
         return str(self.table.get("unit", ""))
 
-    def becomes(self, role: str, name: str = "") -> None:
-        """Take a role; the name stays unless there is another one."""
-        self.role = role
-        self.table = {"name": name or self.name, "unit": self.unit}
-        self.table |= without(self.seen.get(role, {}), "")  # the default stands for ""
-
     def content(self) -> Content:
-        return {"column": self.column, **_without(without(self.table, ""), "name")}
+        """What a study file says of it as the part that it is."""
+        known = {
+            key: self.table.get(key, "") for key in KEYS_OF[KEYS_OF_PARTS[self.part]]
+        }
+        return without({**known, "column": self.column}, "")
 
 
 @dataclass
@@ -214,17 +222,17 @@ class DataDraft:
             draft = cls(places)
         by_column = {column.column: column for column in draft.columns}
         for column in draft.columns:
-            column.role = NOT_USED
+            column.part = UNUSED
         draft.settings = _without(data, *KEYS_OF_COLUMNS, "hold")
         draft.time = {}
         told = [(TIME, "", data["time"])]
         if "trajectory" in data:
             told.append((RUN, "", {"column": data["trajectory"]}))
-        for role, section in CHANNELS.items():
-            of_all = {"hold": data["hold"]} if role == INPUT and "hold" in data else {}
+        for part, section in CHANNELS.items():
+            of_all = {"hold": data["hold"]} if "hold" in data else {}
             channels = data.get(section, {}).items()
-            told += [(role, name, {**of_all, **table}) for name, table in channels]
-        for role, name, table in told:
+            told += [(part, name, {**of_all, **table}) for name, table in channels]
+        for part, name, table in told:
             if "column" in table:
                 source = table["column"]
                 if isinstance(source, list):  # date and time of day
@@ -232,9 +240,9 @@ class DataDraft:
                 if source not in by_column:
                     by_column[source] = ColumnDraft(source)
                     draft.columns.append(by_column[source])
-                by_column[source].role = role
-                by_column[source].table = {"name": name, **_without(table, "column")}
-            elif role == TIME:
+                by_column[source].part = part
+                by_column[source].table = {**table, "name": name}
+            elif part == TIME:
                 draft.time = dict(table)
             else:
                 draft.unmeasured[name] = table.get("unit", "")
@@ -242,19 +250,20 @@ class DataDraft:
             draft.parts[section] = PartDraft.of(section, content.get(section, {}))
         return draft
 
-    def with_role(self, role: str) -> list[ColumnDraft]:
-        return [column for column in self.columns if column.role == role]
+    def of_part(self, part: str) -> list[ColumnDraft]:
+        return [column for column in self.columns if column.part == part]
 
-    def column_named(self, role: str, name: str) -> ColumnDraft | None:
-        return next((one for one in self.with_role(role) if one.name == name), None)
+    def column_named(self, part: str, name: str) -> ColumnDraft | None:
+        return next((one for one in self.of_part(part) if one.name == name), None)
 
-    def measure(self, role: str, name: str, column: str | None) -> None:
+    def measure(self, part: str, name: str, column: str | None) -> None:
         """Let a column be the state or input of a name; None: no column is."""
         for known in self.columns:
-            if (known.role, known.name) == (role, name):
-                known.role = NOT_USED
+            if (known.part, known.name) == (part, name):
+                known.part = UNUSED
             if known.title == column:
-                known.becomes(role, name)
+                known.part = part
+                known.name = name
 
     def content(self, states: list[str]) -> Content:
         """The section [data] for a model of these states."""
@@ -263,12 +272,12 @@ class DataDraft:
             **self.settings,
             "time": self.time,
         }
-        for column in self.with_role(RUN):
+        for column in self.of_part(RUN):
             content["trajectory"] = column.column
-        for column in self.with_role(TIME):
+        for column in self.of_part(TIME):
             content["time"] = column.content()
-        for role, section in CHANNELS.items():
-            columns = self.with_role(role)
+        for part, section in CHANNELS.items():
+            columns = self.of_part(part)
             content[section] = {one.name or one.title: one.content() for one in columns}
         for name in states:
             unit = self.unmeasured.get(name, "")
@@ -294,9 +303,6 @@ def sheet_of(settings: Mapping[str, Any]) -> str | None:
 def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
     """The columns of the files, with a guess of what each is.
 
-    A column is numeric where most of its cells are numbers; then a cell that is none is
-    refused with its line, since it is a mistake and not a name.
-
     Args:
         places: tables with the same columns, a run each; where they lie, by name.
         sheet: that of workbooks, or the group of channels, where the files have it.
@@ -307,9 +313,6 @@ def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
     draft = DataDraft(dict(places))
     seen = [survey(NamedFile(place, name), sheet) for name, place in places.items()]
     for one in seen:
-        for column in one.columns:
-            if column.is_numeric:
-                numbers_in(one.table, column.column, may_be_missing=True)
         check_alike(seen[0].columns, one.columns, one.table.title)
         draft.n_samples += one.n_lines
         draft.runs += one.runs
@@ -318,21 +321,10 @@ def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
     draft.runs = list(dict.fromkeys(draft.runs))
     draft.sheets = seen[0].table.sheets
     draft.settings = {one.key: one.content for one in seen[0].read if one.is_set}
-    for column in seen[0].columns:  # parts have the same words here except for one
-        role = NOT_USED if column.part == UNUSED else column.part
-        found = ColumnDraft(
-            column.source,
-            table={"unit": column.unit},
-            examples=tuple(column.cells[:3]),
-            is_numeric=column.is_numeric,
-            seen={
-                TIME: {"date_format": column.date_format},
-                STATE: {"clock": column.clock},
-                INPUT: {"clock": column.clock, "hold": column.hold},
-            },
-        )
-        found.becomes(role, column.name)
-        draft.columns.append(found)
+    for column in seen[0].columns:
+        examples = tuple(column.cells[:3])
+        known = (column.content, examples, column.is_numeric, column.may_be_input)
+        draft.columns.append(ColumnDraft(column.source, column.part, *known))
     return draft
 
 
@@ -516,7 +508,7 @@ class StudyDraft:
 
 def draft_of(base: BaseModel, data: DataDraft | None) -> ModelDraft:
     """A fresh draft; its inputs are those of the data, after `match_states`."""
-    inputs = [one.name for one in data.with_role(INPUT)] if data else []
+    inputs = [one.name for one in data.of_part(INPUT)] if data else []
     draft = ModelDraft.of(*base.sections(inputs), base.name)
     for one in draft.parameters:
         one.is_assumed = one.is_known
@@ -529,26 +521,18 @@ def match_states(data: DataDraft, base: BaseModel) -> BaseModel:
     Returns:
         The model, in position and velocity if that was measured.
     """
+    for column in data.of_part(UNUSED):
+        column.part = column.lost or UNUSED
+    base = base.seen_by(data.of_part(STATE))
     for column in data.columns:
-        if column.fits_no_state and column.role == NOT_USED:
-            column.role = STATE
-        column.fits_no_state = False
-    columns = data.with_role(STATE)
-    base = base.seen_by(columns)
+        column.lost = column.part
+    left = give_parts(data.columns, base)
     data.unmeasured = base.units
-    for role, units in base.places:
-        own = data.with_role(role)
-        may_be = own + columns if role == INPUT else columns
-        for column, name in matched(may_be, units, own.__contains__):
-            column.table["name"] = name
-            data.unmeasured.pop(name, None)
-            if column in columns:
-                columns.remove(column)
-            if column.role != role:
-                column.becomes(role)
-    for column in columns:
-        column.role = NOT_USED
-        column.fits_no_state = True
+    for column in data.columns:
+        if column.part == STATE:
+            data.unmeasured.pop(column.name, None)
+        if column not in left:
+            column.lost = ""
     return base
 
 
@@ -557,14 +541,13 @@ def left_over(draft: StudyDraft) -> str:
     base = GALLERY.get(draft.model.title)
     columns = draft.data.columns if draft.data else []
     base = base and base.seen_by(columns)
-    left = {one.title: one.unit for one in columns if one.fits_no_state}
+    left = {one.title: one.unit for one in columns if one.lost}
     if not left or base is None:
         return ""
     verb = "fits" if len(left) == 1 else "fit"
-    told, states = map(with_units, (left, base.units))
     return (
-        f"{told} {verb} no state of {base.title} ({states}) by its unit and is not "
-        "used; you can change this in part 1."
+        f"{with_units(left)} {verb} no state or input of {base.title} ({base.names}) "
+        "by its unit and is left out; you can change this in part 1."
     )
 
 

@@ -106,8 +106,8 @@ class Column(Header):
     @property
     def content(self) -> dict[str, Any]:
         """What JSON has of it."""
-        names = ("column", "part", "name", "unit", "hold", "clock", "said", "wrong")
-        return {name: getattr(self, name) for name in names}
+        keys = ("column", "part", "name", "unit", "date_format", "hold", "clock")
+        return {key: getattr(self, key) for key in (*keys, "said", "wrong")}
 
     @property
     def may_be_input(self) -> bool:

@@ -17,7 +17,7 @@ from phsi_opt.arguments import require_known
 from phsi_opt.errors import DataError
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.presentation.units import measure_of
-from phsi_opt.study_file.columns import INPUT, STATE, UNUSED, Column
+from phsi_opt.study_file.columns import INPUT, STATE, UNUSED
 
 OR_ANY = " or any"  # behind the unit of an input whose coefficient takes up its unit
 
@@ -120,24 +120,23 @@ GALLERY = {
 # ---- columns for its states and inputs -----------------------------------------------
 
 
-def give_parts(columns: Sequence[Column], base: BaseModel) -> None:
-    """Let the columns of a table be states and inputs of a base model, or left out."""
+def give_parts(columns: Sequence[Any], base: BaseModel) -> list[Any]:
+    """Let columns be states and inputs of a base model; those that it has no place for.
+
+    These are left out. A column is a `Column` of a survey, or what a user said of one.
+    """
     left = [one for one in columns if one.part in (STATE, INPUT)]
     for part, units in base.places:
-        _take(left, part, units)
+        is_state = part == STATE
+        own = [one for one in left if one.part == part]
+        left.sort(key=lambda one: (one.part != part, one.may_be_input == is_state))
+        for column, name in matched(left, units, own.__contains__):
+            left.remove(column)
+            column.part = part
+            column.name = name
     for column in left:
-        column.name = ""
-        column.becomes(UNUSED, f"the model {base.name} has no place for it")
-
-
-def _take(left: list[Column], part: str, units: Mapping[str, str]) -> None:
-    """Take those that are this part of the model from the columns that are left."""
-    is_state = part == STATE
-    left.sort(key=lambda one: (one.part != part, one.may_be_input == is_state))
-    for column, name in matched(left, units, lambda one: one.part == part):
-        left.remove(column)
-        column.part = part
-        column.name = name
+        column.part = UNUSED
+    return left
 
 
 def matched(

@@ -404,7 +404,9 @@ def first_text(
     lacking: dict[str, str] = {}
     if base is not None:
         base = base.seen_by(table.of_part(STATE))
-        give_parts(table.columns, base)
+        for column in give_parts(table.columns, base):
+            column.name = ""
+            column.becomes(UNUSED, f"the model {base.name} has no place for it")
         inputs = [one.name for one in table.of_part(INPUT)]
         model, parameters = base.sections(inputs)
         sections = {"model": model, "parameters": parameters}
