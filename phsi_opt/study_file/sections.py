@@ -40,7 +40,6 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 TEXT_READER = "from_csv"
 LOGGERS = {"from_mdf": "asammdf", "from_tdms": "nptdms"}
 OF_TEXTS = ("columns", "separator", "decimal", "skip", "units_row")
-OF_FILES = ("sheet", "group", *OF_TEXTS)  # which tables no longer need
 DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
 
 
@@ -169,28 +168,6 @@ class DataSection:
         """The name of the reader of `Measurements` for the first file."""
         return reader_of(Path(self.files[0] if self.files else ""))
 
-    def reader_arguments(self) -> dict[str, Any]:
-        """Arguments of the reader besides the files, without those that are default."""
-        hold = {name: one.hold or self.hold for name, one in self.inputs.items()}
-        holds = set(hold.values())
-        states = self.states.items()
-        clocks = {name: one.clock for name, one in self._channels.items()}
-        arguments = {
-            "states": {name: one.column for name, one in states},
-            "time": self.time.column,
-            "inputs": {name: one.column for name, one in self.inputs.items()},
-            "hold": holds.pop() if len(holds) == 1 else hold,
-            "trajectory": self.trajectory,
-            **{name: getattr(self, name) for name in OF_FILES},
-            "step": self.time.step,
-            "start": self.time.start or None,
-            "date_format": self.time.date_format,
-            "clocks": without(clocks, None),
-            "units": self.units,  # as they are written
-            "noise": {name: one.noise for name, one in states if one.noise},
-        }
-        return without(arguments, None, {})
-
     @property
     def wanted(self) -> list[Any]:
         """The columns that are asked for."""
@@ -205,11 +182,25 @@ class DataSection:
         Raises:
             DataError: the data are not valid; with file, column and line.
         """
-        arguments = self.reader_arguments()
-        for name in OF_FILES:
-            arguments.pop(name, None)
+        states = self.states.items()
+        inputs = self.inputs.items()
+        clocks = {name: one.clock for name, one in self._channels.items()}
         # `init` writes the units of headers; one that stands empty was taken away.
-        data = Measurements.from_tables(tables, headers=False, **arguments)
+        data = Measurements.from_tables(
+            tables,
+            headers=False,
+            states={name: one.column for name, one in states},
+            time=self.time.column,
+            inputs={name: one.column for name, one in inputs},
+            hold={name: one.hold or self.hold for name, one in inputs},
+            trajectory=self.trajectory,
+            step=self.time.step,
+            start=self.time.start or None,
+            date_format=self.time.date_format,
+            clocks=without(clocks, None),
+            units=self.units,  # as they are written
+            noise={name: one.noise for name, one in states if one.noise} or None,
+        )
         if self.between is not None:
             data = data.between(*self.between)
         if self.thinned is not None:

@@ -9,7 +9,7 @@ itself.
 import json
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -23,8 +23,8 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.numbers import LINE_WIDTH
-from phsi_opt.presentation.units import in_si, scale_of
-from phsi_opt.study_file.sections import Sections, own_effect, parts_of, told, without
+from phsi_opt.presentation.units import scale_of
+from phsi_opt.study_file.sections import Sections, told, without
 from phsi_opt.study_file.toml_text import key_text, text_template, toml_value
 
 Content = dict[str, Any]
@@ -276,48 +276,22 @@ def _enclosed(opening: str, parts: Iterable[str], closing: str) -> str:
 def study_script(study: Sections) -> str:
     """The whole script."""
     source = Source()
-    model = study.base
-    steps = study.steps
-    parts = model_parts(model)
-    if model.has_energy:
-        parts["S"] = np.array(model.S).tolist()
+    parts = model_parts(study.base)
+    if study.base.has_energy:
+        parts["S"] = np.array(study.base.S).tolist()
     else:
         parts.setdefault("F", {})
     for name, value in parts.items():
         parts[name] = list(value) if isinstance(value, tuple) else value
-
-    def named(name: str) -> str:
-        """An effect: one of the user's own, or a name of the catalogue."""
-        effect = own_effect(name, study.own_effects)
-        return Code(f"own[{source.of(str(effect))}]") if effect else name
-
-    effects: Any = Code("[*catalogue, *own.values()]") if study.own_effects else None
-    choices = {
-        "held_out": Code("held_out"),
-        "final": Code("final"),
-        "effects": effects if steps.effects is None else [*map(named, steps.effects)],
-        "without": list(steps.without) or None,
-        "loss": study.loss if told(study.loss) else None,
-        "progress": Code("print"),
-    }
-    if study.held_out or study.final:
-        source.imports.add(f"from {parts_of.__module__} import parts_of")
-    shared = shared_parameters(model, study.own_effects)
-    units = {"t": "s", **study.data.units}  # dates have no unit, and are in seconds
-    files: Any = [Code(f"FOLDER / {source.of(one)}") for one in study.data.files]
+    shared = shared_parameters(study.base, study.own_effects)
+    settings = {one.name: getattr(study, one.name) for one in fields(Sections)}
+    settings |= {"base": Code("model"), "data": replace(study.data, places={})}
     body = text_template("study_script.py.jinja").render(
-        data=study.data,
-        is_converted=in_si(units) != units,
-        files=files[0] if len(files) == 1 else files,
-        held_out=study.held_out,
-        final=study.final,
         parameters={name: _short(one) for name, one in shared.items()},
-        kind=type(model).__name__,
+        kind=type(study.base).__name__,
         parts=parts,
-        own={str(effect): effect for effect in study.own_effects},
-        steps=steps,
-        choices=without(choices, None),
-        **{"call": source.call, "source": source.of, "code": Code, "named": named},
+        settings=told(Sections(**settings)) | {"folder": Code("FOLDER")},
+        call=source.call,
     )
     return "\n".join([SCRIPT_BEGIN, *sorted(source.imports), "", body])
 
