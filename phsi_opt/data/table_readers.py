@@ -419,7 +419,7 @@ def _runs_in(
             for one in columns_in(column):
                 _check_column(table, one, layout)
             if part == RUN_PART:
-                rows = _rows_by_name(table, column)
+                rows = rows_by_name(table, column)
             elif part == TIME_PART:
                 t, origins = _times(table, layout, list(rows.values()))
                 runs = [runs_of_clock(t, own) for own in rows.values()]
@@ -568,7 +568,7 @@ def _check_column(table: Table, column: Any, layout: Layout) -> None:
         )
 
 
-def _rows_by_name(table: Table, column: Any) -> dict[str, np.ndarray]:
+def rows_by_name(table: Table, column: Any) -> dict[str, np.ndarray]:
     """Row numbers of each trajectory, in the order in which the trajectories begin."""
     if column is None:
         return {table.run: np.arange(len(table.frame))}

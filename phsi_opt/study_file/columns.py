@@ -5,6 +5,7 @@ none is a mistake in the file, and it is reported with its line.
 """
 
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -13,15 +14,14 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.data.headers import TIMES, Header, words_in
-from phsi_opt.data.tables import MISSING_CELLS, Table, plain_number, rows_of_runs
+from phsi_opt.data.tables import MISSING_CELLS, Table, numbers_in, plain_number
 from phsi_opt.data.times import (
     clock_of,
     format_of_dates,
-    late_times,
     rounded_step,
-    runs_of_clock,
 )
 from phsi_opt.data.trajectory import is_stepped
+from phsi_opt.errors import DataError
 from phsi_opt.presentation.numbers import number_of, shortened
 
 TIME = "time"
@@ -48,7 +48,6 @@ class Column(Header):
     """A column as it was seen, and what it may be; all its arrays are (n_lines,)."""
 
     cells: pd.Series  # its cells as text, (n_lines,)
-    lines: list[str]  # what messages call its rows: "line 3" or "row 3", (n_lines,)
     is_missing: np.ndarray  # which cells are empty, (n_lines,)
     # (n_lines,), NaN where missing or wrong; None: nothing of numbers can be made of
     # it, or they are always the same
@@ -140,10 +139,6 @@ class Column(Header):
         return int(self.is_missing.sum())
 
     @property
-    def first_missing(self) -> str:
-        return self.lines[int(np.argmax(self.is_missing))]
-
-    @property
     def only_number(self) -> float | None:
         numbers = pd.to_numeric(self.cells, errors="coerce").dropna().unique()
         is_one = len(numbers) == 1 and 0 < numbers[0] < np.inf
@@ -156,38 +151,30 @@ class Column(Header):
             return self.is_dates
         return not self.rises_by_one
 
-    def rows_of(self, run: "Column | None") -> list[np.ndarray]:
-        if run is None:
-            return [np.arange(len(self.lines))]
-        return list(rows_of_runs(run.cells).values())
-
-    def is_held(self, run: "Column | None") -> bool:
+    def is_held(self, runs: Sequence[np.ndarray]) -> bool:
         """Whether it is constant between jumps, in its runs; gaps tell nothing."""
         if self.values is None or self.misses_samples or self.wrong:
             return False
-        return is_stepped(self.known_in(run))
+        return is_stepped(self.known_in(runs))
 
-    def known_in(self, run: "Column | None") -> list[np.ndarray]:
+    def known_in(self, runs: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Its values in each run, given by its rows, where they are known."""
         assert self.values is not None
-        runs = [self.values[rows] for rows in self.rows_of(run)]
-        return [one[np.isfinite(one)] for one in runs]
+        known = []
+        for rows in runs:
+            own = self.values[rows]
+            known.append(own[np.isfinite(own)])
+        return known
 
     @property
     def misses_samples(self) -> bool:
         """Whether cells are empty that should not be; other clocks have fewer."""
         return self.n_missing > 0 and not self.clock
 
-    def clock_runs(self, run: "Column | None") -> list[np.ndarray]:
-        """The rows of each run, divided where its values go back to the first one."""
-        runs = self.rows_of(run)
-        if self.values is None:
-            return runs
-        return [part for rows in runs for part in runs_of_clock(self.values, rows)]
-
-    def increases(self, run: "Column | None") -> bool:
+    def increases(self, runs: Sequence[np.ndarray]) -> bool:
         """Whether its values, where they are known, increase in each run."""
         return self.values is not None and all(
-            np.all(np.diff(known) > 0) for known in self.known_in(run)
+            np.all(np.diff(known) > 0) for known in self.known_in(runs)
         )
 
     @property
@@ -195,32 +182,10 @@ class Column(Header):
         """The step of times that were rounded until some are equal; "" of others."""
         return "" if self.values is None else rounded_step(self.values)
 
-    def wrong_time(self, run: "Column | None") -> str:
-        """The first time that is missing, wrong or not after the one before it."""
-        assert self.values is not None
-        if self.wrong:
-            return self.wrong
-        if self.n_missing:
-            return f"{self.first_missing} has no time"
-        late = late_times(self.values, self.rows_of(run))
-        if not late:
-            return ""
-        before, after = late[0]
-        said = (
-            f"{self.lines[after]} has {self.values[after]:.6g}, not after "
-            f"{self.values[before]:.6g} of {self.lines[before]}"
-        )
-        step = self.rounded_step
-        rounded = (
-            f"the times were rounded: if they are even, time = {{ step = {step} }}"
-        )
-        return _joined(_and_more(said, len(late), "more such line"), step and rounded)
-
 
 def columns_of(table: Table) -> list[Column]:
     """All columns of a table, in its order."""
     headers = list(map(str, table.frame.columns))
-    lines = list(map(table.row, range(len(table.frame))))
     columns = []
     for number, header in enumerate(headers):
         cells = table.frame.iloc[:, number].map(
@@ -231,13 +196,13 @@ def columns_of(table: Table) -> list[Column]:
         is_missing = cells.str.lower().isin(MISSING_CELLS).to_numpy()
         words = vars(Header.of(header))
         words["unit"] = table.units.get(header) or words["unit"]
-        column = Column(**words, cells=cells, lines=lines, is_missing=is_missing)
-        column.said = _look_at(column, headers.count(header))
+        column = Column(**words, cells=cells, is_missing=is_missing)
+        column.said = _look_at(column, table, headers.count(header))
         columns.append(column)
     return columns
 
 
-def _look_at(column: Column, n_of_this_name: int) -> str:
+def _look_at(column: Column, table: Table, n_of_this_name: int) -> str:
     """Find the values of a column; what was seen, in words."""
     filled = ~column.is_missing
     numbers = pd.to_numeric(column.cells.where(filled), errors="coerce").to_numpy(float)
@@ -252,7 +217,9 @@ def _look_at(column: Column, n_of_this_name: int) -> str:
     if not column.is_numeric:
         return _look_at_texts(column)
     values = np.where(is_number, numbers, np.nan)
-    column.wrong = _wrong_cells(column, np.flatnonzero(~is_number & filled))
+    if np.any(~is_number & filled):
+        read = partial(numbers_in, table, column.column, may_be_missing=True)
+        column.wrong = fault_of(table, read)
     column.date_format = "" if column.wrong else _format_of_numbers(column, values)
     if column.date_format:
         return DATES
@@ -272,18 +239,13 @@ def _format_of_numbers(column: Column, values: np.ndarray) -> str:
     return format_of_dates(values) or clock
 
 
-def _wrong_cells(column: Column, places: np.ndarray) -> str:
-    """The first cell that is no finite number, and how many more there are."""
-    if not places.size:
-        return ""
-    first = int(places[0])
-    cell = _shown(column.cells.iloc[first])
-    said = f"{column.lines[first]} contains {cell}, which is not a finite number"
-    return _and_more(said, places.size, "more such cell")
-
-
-def _and_more(said: str, n: int, noun: str) -> str:
-    return said if n == 1 else f"{said}; {number_of(n - 1, noun)}"
+def fault_of(table: Table, read: Callable[[], Any]) -> str:
+    """Why something of a table cannot be read, in the reader's words; "": it can."""
+    try:
+        read()
+    except DataError as error:
+        return str(error).removeprefix(f"{table.title}, ")
+    return ""
 
 
 def _joined(*parts: str) -> str:

@@ -9,7 +9,8 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,8 +22,16 @@ from phsi_opt.data.checks import RESERVED_NAMES, checked_names
 from phsi_opt.data.file_opening import DataFile
 from phsi_opt.data.headers import TIMES, Header, words_in
 from phsi_opt.data.table_extent import NUMBER
-from phsi_opt.data.tables import Table
-from phsi_opt.data.times import begun_anew, clock_of, is_milliseconds, names_of_parts
+from phsi_opt.data.table_readers import rows_by_name
+from phsi_opt.data.tables import Table, rows_of_runs
+from phsi_opt.data.times import (
+    begun_anew,
+    clock_of,
+    is_milliseconds,
+    names_of_parts,
+    runs_of_clock,
+    times_in,
+)
 from phsi_opt.errors import DataError, some_of
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
 from phsi_opt.study_file.columns import (
@@ -34,6 +43,7 @@ from phsi_opt.study_file.columns import (
     UNUSED,
     Column,
     columns_of,
+    fault_of,
 )
 from phsi_opt.study_file.gallery import BaseModel, give_parts
 from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
@@ -80,6 +90,7 @@ class TableSurvey:
     run: Column | None  # the column that names each line's run; None: there is none
     time: Column | None  # the column of the times; None: there is none
     step: float | None  # the time between samples, where no column has the times
+    rows: list[np.ndarray]  # those of each run that the column names
 
     def of_part(self, part: str) -> list[Column]:
         return [column for column in self.columns if column.part == part]
@@ -126,8 +137,15 @@ class TableSurvey:
         """The names of the runs that a column tells, or a clock that begins anew."""
         if self.run is not None:
             return self.run.cells.unique().tolist()
-        n = 1 if self.time is None else len(self.time.clock_runs(None))
-        return names_of_parts(self.table.run, n)
+        return names_of_parts(self.table.run, len(self._parts))
+
+    @cached_property
+    def _parts(self) -> list[np.ndarray]:
+        """The rows of each run, divided where the clock goes back to its first time."""
+        if self.time is None or self.time.values is None:
+            return self.rows
+        times = self.time.values
+        return list(chain(*(runs_of_clock(times, rows) for rows in self.rows)))
 
     @property
     def is_long(self) -> bool:
@@ -178,7 +196,7 @@ class TableSurvey:
             return "; ".join(filter(None, (said, time.other_dates)))
         if time.wrong:
             return time.said
-        begins = [time.lines[rows[0]] for rows in time.clock_runs(self.run)[1:]]
+        begins = [self.table.row(rows[0]) for rows in self._parts[1:]]
         anew = begun_anew(begins) if self.run is None else ""
         span = f"{time.values.min():g} to {time.values.max():g}"
         return "; ".join(filter(None, (span, anew)))
@@ -199,20 +217,25 @@ def survey(path: DataFile, part: str | None = None) -> TableSurvey:
             "least 2 are needed, and a study needs many more."
         )
     run = next(filter(_is_run, columns), None) or _run_by_times(columns)
+    rows = [np.arange(n_lines)]
+    if run is not None:
+        run.wrong = fault_of(table, partial(rows_by_name, table, run.column))
+        rows = list(rows_of_runs(run.cells).values())
     others = [one for one in columns if one is not run]
     of_step = next((one for one in others if one.is_step and one.only_number), None)
     steps = [] if of_step is None else [of_step.only_number]
     steps += [one.value for one in table.further if Header.of(one.name).is_step]
     step = next((value for value in steps if value and value > 0), None)
-    time = _time(others, run, step)
+    time = _time(table, others, rows, step)
     if time is not None:
         _put_together(time, others)
-        _find_other_clocks(time, others, run)
+        _find_other_clocks(time, others, rows)
     for one in columns:
         if not one.said.startswith((OTHER_CLOCK, PART_OF_TIME)):
+            one.hold = "zero" if one.is_held(rows) else ""
             _take_part(one, time, run, of_step)
     step = step if time is None else None
-    seen = TableSurvey(path, table, columns, run, time, step)
+    seen = TableSurvey(path, table, columns, run, time, step, rows)
     if not seen.of_part(STATE):
         for one in seen.of_part(INPUT):
             one.becomes(STATE, PERHAPS_INPUT)
@@ -250,8 +273,6 @@ def _is_run(one: Column) -> bool:
     if not one.is_run or not is_few:
         return False
     one.said = f"{n_different} runs"
-    if one.n_missing:
-        one.wrong = f"{one.first_missing} has no name of a run"
     return True
 
 
@@ -268,7 +289,7 @@ def _run_by_times(columns: list[Column]) -> Column | None:
 
 
 def _time(
-    others: list[Column], run: Column | None, step: float | None
+    table: Table, others: list[Column], runs: list[np.ndarray], step: float | None
 ) -> Column | None:
     """What increases, or has dates; of several columns what is called the time.
 
@@ -277,17 +298,21 @@ def _time(
     """
     usable = [one for one in others if one.values is not None or one.is_dates]
     named = [one for one in usable if one.is_time]
+
+    def why_wrong(one: Column) -> str:
+        return fault_of(table, partial(times_in, table, one.column, runs))
+
     for one in (*named, *usable):
-        if one.is_dates or (one.is_time and not one.wrong_time(run)):
+        if one.is_dates or (one.is_time and not why_wrong(one)):
             return one
     if not named and step is None:
         free = list(filter(attrgetter("may_be_time"), usable))
         for one in free:
-            if one.increases(run) and not one.n_missing and not one.wrong:
+            if one.increases(runs) and not one.n_missing and not one.wrong:
                 return one
         named = list(filter(attrgetter("rounded_step"), free))
     for one in named:
-        one.wrong = one.wrong_time(run)
+        one.wrong = why_wrong(one)
         return one
     return None
 
@@ -306,13 +331,15 @@ def _put_together(time: Column, others: list[Column]) -> None:
                 time.take_dates_of(time.cells)
 
 
-def _find_other_clocks(time: Column, others: list[Column], run: Column | None) -> None:
+def _find_other_clocks(
+    time: Column, others: list[Column], runs: list[np.ndarray]
+) -> None:
     """Note the channels that follow another clock than the times."""
     clock = None
     for one in others:
         if one is time:
             clock = None
-        elif one.is_time and one.increases(run) and not one.is_counter:
+        elif one.is_time and one.increases(runs) and not one.is_counter:
             assert one.values is not None
             is_same = not one.n_missing and _runs_alike(time.values, one.values)
             clock = None if is_same else one
@@ -339,7 +366,6 @@ def _take_part(
     one: Column, time: Column | None, run: Column | None, of_step: Column | None
 ) -> None:
     """Say of a column what it is."""
-    one.hold = "zero" if one.is_held(run) else ""
     if one is time:
         one.becomes(TIME)
     elif one is run:
