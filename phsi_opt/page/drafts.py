@@ -483,12 +483,6 @@ class StudyDraft:
         """Where each file of the data lies, by its name."""
         return {} if self.data is None else dict(self.data.places)
 
-    @property
-    def data_as_it_is(self) -> Drafted:
-        """The files and columns alone."""
-        content = {"data": self.data.content([])} if self.data else {}
-        return Drafted(text_of(content), self.places)
-
     def as_it_is(self) -> Drafted:
         return Drafted(text_of(self.content()), self.places)
 
@@ -558,8 +552,8 @@ def left_over(draft: StudyDraft) -> str:
 class Seen:
     """The measurements as they are seen before there is a model."""
 
-    drafted: Drafted  # of which they are
-    chart: Chart | None = None  # None where they cannot be read yet
+    key: str = ""  # tells them from others; "" where they cannot be read yet
+    chart: Chart | None = None
     rows: tuple[dict[str, Any], ...] = ()  # what was noticed of each channel
 
 
@@ -577,14 +571,14 @@ def files_of(path: Path) -> list[str]:
 
 
 def checked(
-    path: Path, places: Mapping[str, Path], data: Drafted | None
+    path: Path, places: Mapping[str, Path], known: str
 ) -> tuple[tuple[Complaint, ...], Seen | None]:
     """What is wrong with a draft that was written, and its measurements.
 
     Args:
         path: of the draft as a study file.
         places: of its data files.
-        data: the files and columns of the draft alone; None: they were seen before.
+        known: the key of the measurements that are seen; None is returned for these.
     """
     measured = None
     complaints: tuple[Complaint, ...] = ()
@@ -597,9 +591,12 @@ def checked(
         measured = error.measurements
     except PhsiOptError as error:
         complaints = (Complaint("model", "", str(error)),)
-    if data is None or measured is None:
-        return complaints, data and Seen(data)
-    return complaints, Seen(data, measured.chart(), tuple(measured.look.rows()))
+    if measured is None:
+        return complaints, Seen() if known else None
+    key = repr((measured.digest, dict(measured.units), measured.hold))
+    if key == known:
+        return complaints, None
+    return complaints, Seen(key, measured.chart(), tuple(measured.look.rows()))
 
 
 def fitted_file(

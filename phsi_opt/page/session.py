@@ -156,8 +156,8 @@ class Session:
         if study_file is not None:
             self._open(study_file)
         self.complaints: tuple[Complaint, ...] = (NO_TABLE,)
-        self.seen_data = drafts.Seen(drafts.Drafted("", {}))
-        self._checked = drafts.Drafted("", {})  # the draft of which these are
+        self.seen_data = drafts.Seen()
+        self._checked: drafts.Drafted | None = None  # the draft of which these are
         self._check()
         self._begun = self.draft.as_it_is()
         self._moments = [Moment(deepcopy(self.draft), None)]
@@ -312,19 +312,18 @@ class Session:
         now = self.draft.as_it_is()
         if now == self._checked:
             return
-        data = self.draft.data_as_it_is
-        new = None if data == self.seen_data.drafted else data
-        found: Any = (NO_TABLE,), new and drafts.Seen(new)
+        self._checked = now
+        self.complaints, seen = (NO_TABLE,), drafts.Seen()
         if now.places:
             path = write_whole(self._state / WORKING_FILE, now.text)
+            given = (path, now.places, self.seen_data.key)
             try:
-                found = self._call(now.places, drafts.checked, path, now.places, new)
+                found = self._call(now.places, drafts.checked, *given)
             except DataError as error:  # it took too long; the next check tries again
                 found = (Complaint("", "", str(error)),), None
-                now = drafts.Drafted("", {})
-        self.complaints, seen = found
+                self._checked = None
+            self.complaints, seen = found
         self.seen_data = seen or self.seen_data
-        self._checked = now
 
     @property
     def model(self) -> Model | None:
@@ -563,7 +562,7 @@ class Session:
             if isinstance(error, StudyFileError):
                 self.message = self.failure = "The draft cannot be used yet."
                 self.complaints = error.complaints
-            self._checked = drafts.Drafted("", {})
+            self._checked = None
         elif isinstance(result.value, Path):
             self.report_path = result.value
         elif self.model is not None and self.now is not None:
