@@ -11,8 +11,6 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-import numpy as np
-
 from phsi_opt.arguments import typed
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
@@ -118,8 +116,7 @@ class StudyFile(Sections):
             folder: to which the data's paths are relative.
 
         Raises:
-            DataError: training data and held-out data cannot be distinguished in a
-                table.
+            DataError: training data and held-out data have other channels.
             ModelError: a study file cannot represent a part of the model.
         """
         unwritten = None
@@ -127,9 +124,9 @@ class StudyFile(Sections):
             if isinstance(held_out, HeldOut):
                 unwritten = in_written_units(data)
             else:
-                unwritten, held_out = joined(data, held_out)
+                unwritten, held_out = joined(data, held_out, "held out")
             if isinstance(final, Measurements):
-                unwritten, final = joined(unwritten.in_si(), final)
+                unwritten, final = joined(unwritten.in_si(), final, "final")
             final = final or HeldOut(runs=())
             data = section_of(unwritten, UNWRITTEN)
         elif isinstance(held_out, Measurements) or isinstance(final, Measurements):
@@ -378,12 +375,14 @@ def in_written_units(data: Measurements) -> Measurements:
 
 
 def joined(
-    train: Measurements, held_out: Measurements | None
+    train: Measurements, held_out: Measurements | None, part: str
 ) -> tuple[Measurements, HeldOut | None]:
     """Training data and data held out as one, and what tells them apart again.
 
+    A run that was split in time becomes two; the second one has the part in its name.
+
     Raises:
-        DataError: they have other channels, or runs that cannot be told apart.
+        DataError: they have other channels.
     """
     train = in_written_units(train)
     if held_out is None:
@@ -397,21 +396,11 @@ def joined(
                 f"{what} of the data held out, {other}, differ from {one} of the "
                 "training data; a study file has one description for both."
             )
-    names = [run.name for run in train.trajectories]
-    judging = [run.name for run in held_out.trajectories]
-    if not set(names) & set(judging):
-        both = (*train.trajectories, *held_out.trajectories)
-        return replace(train, trajectories=both), HeldOut(runs=tuple(judging))
-    cut = float(held_out.stacked("t").min())
-    if names != judging or float(train.stacked("t").max()) >= cut:
-        raise DataError(
-            f"the runs {names} and those held out, {judging}, have names in common "
-            "and were not split at one time; give the runs different names."
-        )
-    whole = []
-    for first, then in zip(train.trajectories, held_out.trajectories, strict=True):
-        t = np.concatenate([first.t, then.t])
-        x = np.concatenate([first.x, then.x])
-        u = np.concatenate([first.u, then.u])
-        whole.append(replace(first, t=t, x=x, u=u))
-    return replace(train, trajectories=tuple(whole)), HeldOut(after=cut)
+    runs = {run.name: run for run in train.trajectories}
+    judging = []
+    for run in held_out.trajectories:
+        name = f"{run.name} {part}" if run.name in runs else run.name
+        runs[name] = replace(run, name=name)
+        judging.append(name)
+    both = replace(train, trajectories=tuple(runs.values()))
+    return both, HeldOut(runs=tuple(judging))
