@@ -329,16 +329,16 @@ def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     assert "Did you mean 'k'?" in words["model.H"]
     assert words["model.R.p"].startswith("Loss R of p")
     assert words["parameters.k.lower"].startswith("Least k")
-    assert unknown_names(session.draft.model) == ["kk"]
+    assert unknown_names(session.complaints) == ["kk"]
     session.draft.model.table["R"]["p"] = "d"
     session.draft.model.table["F"]["p"] = "f*v0"
-    assert unknown_names(session.draft.model) == ["kk", "d", "f", "v0"]
+    assert unknown_names(session.check()) == ["kk", "d", "f", "v0"]
     session.fit()
     assert session.job is None
     assert "cannot be fitted yet" in session.message
     session.draft.model.table["R"]["p"] = "r*exp(-q)"
     session.draft.model.table["F"]["p"] = ["f1*t", "f2"]
-    assert unknown_names(session.draft.model) == ["kk", "r", "f1", "f2"]
+    assert unknown_names(session.check()) == ["kk", "r", "f1", "f2"]
 
 
 SPRING_FILE = """

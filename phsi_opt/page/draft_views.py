@@ -1,16 +1,14 @@
 """The first two parts of the page: the table and its columns, and the base model."""
 
-from collections.abc import Callable
-from contextlib import suppress
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from nicegui import events, run, ui
 
-from phsi_opt.errors import ModelError
-from phsi_opt.model.expressions import names_of
-from phsi_opt.model.slots import Variables
+from phsi_opt.errors import Complaint
 from phsi_opt.page.drafts import (
     ENERGY,
     FIRST_ORDER,
@@ -266,6 +264,7 @@ FOCUS_SOON = "setTimeout(() => document.getElementById('ID')?.focus(), 400)"
 # A remark that goes leaves its place, so that no button moves from under a click.
 STAYING_PLACE = "min-height: 2.5em; width: 100%"
 PARAMETER = "parameters.*"
+UNKNOWN = re.compile(r"'(\w+)' is not known here")  # what a formula has that is wrong
 MODEL_TYPES = {
     ENERGY: "energy: dx/dt = (S - R) grad H + F",
     FIRST_ORDER: "first order: dx/dt = F",
@@ -327,7 +326,7 @@ class ModelView:
             alert(self.session.failure)
         if self.session.complaints or not self.session.failure:
             complaints(self.session.complaints, "Model and data are valid.")
-        for name in unknown_names(self._draft):
+        for name in unknown_names(self.session.complaints):
             add = partial(self._add_parameter, name)
             button(f"Make {name} a parameter", add, quiet=True)
 
@@ -444,17 +443,7 @@ class ModelView:
         await self.checked()
 
 
-def unknown_names(draft: ModelDraft) -> list[str]:
-    """The names that are neither variables nor parameters, each once."""
-    variables = Variables(tuple(draft.names("states")), tuple(draft.names("inputs")))
-    known = {one.name for one in draft.parameters}
-    found: dict[str, None] = {}
-    model = draft.content()
-    slots = [("H", model.get("H", ""))]
-    slots += [(slot, one) for slot in "RF" for one in model.get(slot, {}).values()]
-    for slot, formulas in slots:
-        for formula in listed(formulas):
-            with suppress(ModelError):  # the check says what is wrong with it
-                names = names_of(str(formula)) - variables.of_slot(slot) - known
-                found |= dict.fromkeys(sorted(names))
-    return list(found)
+def unknown_names(complaints: Iterable[Complaint]) -> list[str]:
+    """The names in formulas that are neither variables nor parameters, each once."""
+    found = filter(None, [UNKNOWN.match(one.said) for one in complaints])
+    return list(dict.fromkeys(one[1] for one in found))
