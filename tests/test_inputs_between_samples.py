@@ -237,8 +237,7 @@ def test_init_and_page_hold_the_input_that_jumps(tmp_path: Path) -> None:
     contents = draft.content([])["inputs"]
     assert contents["voltage_input"]["hold"] == "zero"
     assert "hold" not in contents["torque"]
-    column = draft.column_named("input", "voltage_input")
-    assert column is not None
+    (column,) = [one for one in draft.columns if one.name == "voltage_input"]
     column.part = "state"
     assert "hold" not in column.content()
     column.part = "input"

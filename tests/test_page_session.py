@@ -258,8 +258,8 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     assert force.part == "left out", "an input in N, where a torque acts"
     force.name = "force"
     base = match_states(data, GALLERY["mass"])
-    assert data.column_named(STATE, "q") is columns[1], "it comes back"
-    assert data.column_named(STATE, "v") is columns[0], "a velocity is no momentum"
+    assert (columns[1].part, columns[1].name) == (STATE, "q"), "it comes back"
+    assert columns[0].name == "v", "a velocity is no momentum"
     assert data.unmeasured == {}
     draft = draft_of(base, data)
     assert (force.name, draft.names("inputs")) == ("u", ["u"])
@@ -574,7 +574,7 @@ def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
     assert "States: expected the names of the states, such as q, p." in said
     advice = 'the model has this name: give { column = "..." }, or { measured = false }. Other'
     words = complaint_words(ph.Complaint("data.states.x", "", advice))
-    assert words.startswith("Column of x: it is in the model: choose its column")
+    assert words.startswith("Column of x: it is in the model: give its name to a")
 
 
 def test_what_was_found_is_kept_when_a_solve_is_cancelled_or_its_worker_lost(

@@ -259,7 +259,6 @@ class DataView:
 
 # ---- part 2: the base model, picked or written, with a live check --------------------
 
-NOT_MEASURED = "not measured"
 FOCUS_SOON = "setTimeout(() => document.getElementById('ID')?.focus(), 400)"
 # A remark that goes leaves its place, so that no button moves from under a click.
 STAYING_PLACE = "min-height: 2.5em; width: 100%"
@@ -360,7 +359,7 @@ class ModelView:
 
     @ui.refreshable_method
     def by_state(self) -> None:
-        """Loss, force and column of each state; the column of each input."""
+        """Loss and force of each state."""
         draft = self._draft
         for name in draft.names("states"):
             with field_row():
@@ -368,29 +367,6 @@ class ModelView:
                 if draft.type == ENERGY:
                     fields(draft.table["R"], "model.R", "*", self.checked, name)
                 fields(draft.table["F"], "model.F", "*", self.checked, name)
-                self._column(STATE, name)
-        for name in draft.names("inputs"):
-            with field_row():
-                ui.label(name).classes("formula").style("width: 5em")
-                self._column(INPUT, name)
-
-    def _column(self, part: str, name: str) -> None:
-        data = self.session.draft.data
-        if data is None:
-            return
-        options = [NOT_MEASURED] if part == STATE else []
-        options += [one.title for one in data.columns if one.is_numeric]
-        known: ColumnDraft | None = data.column_named(part, name)
-
-        async def changed(column: str) -> None:
-            chosen = None if column == NOT_MEASURED else column
-            data.measure(part, name, chosen)
-            self.session.shape += 1
-            await self.checked()
-
-        value = NOT_MEASURED if known is None else known.title
-        options = list(dict.fromkeys([*options, value]))
-        choice(f"column of {name}", options, value, changed)
 
     @ui.refreshable_method
     def parameters(self) -> None:

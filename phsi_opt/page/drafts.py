@@ -253,18 +253,6 @@ class DataDraft:
     def of_part(self, part: str) -> list[ColumnDraft]:
         return [column for column in self.columns if column.part == part]
 
-    def column_named(self, part: str, name: str) -> ColumnDraft | None:
-        return next((one for one in self.of_part(part) if one.name == name), None)
-
-    def measure(self, part: str, name: str, column: str | None) -> None:
-        """Let a column be the state or input of a name; None: no column is."""
-        for known in self.columns:
-            if (known.part, known.name) == (part, name):
-                known.part = UNUSED
-            if known.title == column:
-                known.part = part
-                known.name = name
-
     def content(self, states: list[str]) -> Content:
         """The section [data] for a model of these states."""
         content: Content = {

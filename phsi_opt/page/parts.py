@@ -203,7 +203,7 @@ ADVICE = (
     ),
     (
         r"the model has this name: give \{ column = .*?\}\.",
-        "it is in the model: choose its column, or that it was not measured.",
+        "it is in the model: give its name to a column in part 1.",
     ),
     (r"set date_format = ", "give the format of the dates, such as "),
     (r"a fixed parameter needs a value: .*", "enter the known value, such as 2.5."),
