@@ -29,7 +29,6 @@ from phsi_opt.page.drafts import (
     ParameterDraft,
     PartDraft,
     in_megabytes,
-    left_over,
 )
 from phsi_opt.page.parts import (
     Then,
@@ -295,8 +294,6 @@ class ModelView:
             with ui.element("div").classes("tiles"):
                 for number, base in enumerate(GALLERY.values()):
                     self._tile(f"base-{number}", base)
-            if left := left_over(self.session.draft):
-                ui.label(left).classes("bad").props('role="status"')
 
     def _tile(self, tile_id: str, base: BaseModel) -> None:
         async def choose() -> None:

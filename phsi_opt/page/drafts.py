@@ -20,7 +20,7 @@ from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.numbers import shortened
 from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME, UNUSED
-from phsi_opt.study_file.gallery import GALLERY, BaseModel, give_parts, with_units
+from phsi_opt.study_file.gallery import BaseModel, give_parts, with_units
 from phsi_opt.study_file.keys import (
     KEYS_OF,
     Complaints,
@@ -518,19 +518,15 @@ def match_states(data: DataDraft, base: BaseModel) -> BaseModel:
     return base
 
 
-def left_over(draft: StudyDraft) -> str:
-    """Which columns fit no state of the base model, in a sentence; "" where all do."""
-    base = GALLERY.get(draft.model.title)
-    columns = draft.data.columns if draft.data else []
-    base = base and base.seen_by(columns)
+def left_over(columns: Sequence[ColumnDraft], base: BaseModel) -> str:
+    """Which columns have no place in a base model, in a sentence; "": all have."""
     left = {one.title: one.unit for one in columns if one.lost}
-    if not left or base is None:
-        return ""
     verb = "fits" if len(left) == 1 else "fit"
-    return (
+    said = (
         f"{with_units(left)} {verb} no state or input of {base.title} ({base.names}) "
         "by its unit and is left out; you can change this in part 1."
     )
+    return said if left else ""
 
 
 # ---- what is read of a draft ---------------------------------------------------------

@@ -292,9 +292,11 @@ class Session:
     def choose(self, base: BaseModel) -> None:
         """Begin with an entry of the gallery; columns become its states."""
         self.message = ""
-        if self.draft.data is not None:
-            base = drafts.match_states(self.draft.data, base)
-        self.draft.model = drafts.draft_of(base, self.draft.data)
+        data = self.draft.data
+        if data is not None:
+            base = drafts.match_states(data, base)
+            self.message = drafts.left_over(data.columns, base)
+        self.draft.model = drafts.draft_of(base, data)
         self.draft.kept.get("study", {}).pop("added", None)
         self.check()
         self.shape += 1

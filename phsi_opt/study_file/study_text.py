@@ -278,11 +278,9 @@ def study_script(study: Sections) -> str:
     source = Source()
     parts = model_parts(study.base)
     if study.base.has_energy:
-        parts["S"] = np.array(study.base.S).tolist()
+        parts["S"] = study.base.S
     else:
         parts.setdefault("F", {})
-    for name, value in parts.items():
-        parts[name] = list(value) if isinstance(value, tuple) else value
     shared = shared_parameters(study.base, study.own_effects)
     settings = {one.name: getattr(study, one.name) for one in fields(Sections)}
     settings |= {"base": Code("model"), "data": replace(study.data, places={})}
