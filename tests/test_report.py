@@ -150,19 +150,24 @@ def unexplained(diagnosis: ph.Diagnosis, **changes: Any) -> ph.Diagnosis:
     return replace(diagnosis, verdict=ph.Verdict.UNEXPLAINED, **left)
 
 
-def test_the_first_screen_says_what_where_when_and_what_to_add(content, study) -> None:
+def test_a_diagnosis_says_what_where_when_and_what_to_do(content, study) -> None:
     expected = {
-        "What was wrong": r"Coulomb friction on p was missing: .* dp/dt lacked a force of [\d.]+ N.*",
-        "Where it was": "In the force on q \\(dp/dt\\).*",
-        "When": r"Clearly during \d+ % of the time(, repeatedly)?, in both "
+        "What is wrong": r"The model has an error of 0\.\d+ m in q .* Its dp/dt lacks a "
+        r"force of [\d.]+ N \(rms\).*",
+        "Where": "In the force on q \\(dp/dt\\).*",
+        "When": r"Clearly during \d+ % of the time, in both "
         r"training runs\. It is strongest at t = .* of run \d\..*",
-        "What was added": r"Coulomb friction on p \(.* N\)\. It is practically certain "
-        r"\(odds of more than a million to one\)\.",
+        "What to do next": r"Add coulomb friction on p\. In Python, study\.add .*",
     }
-    answers = {fact.question: str(fact) for fact in content.headline.answers}
+    answers = {one.question: str(one) for one in content.diagnoses[0].answers}
     assert list(answers) == list(expected)
     for question, pattern in expected.items():
         assert re.fullmatch(pattern, answers[question]), answers[question]
+
+
+def test_the_first_screen_says_what_was_found_how_sure_and_how_good(
+    content, study
+) -> None:
     found = content.headline.discovery
     assert re.fullmatch(
         r"Coulomb friction \([\d.]+ ± [\d.]+ N\) was missing\.", found.lead
@@ -172,18 +177,20 @@ def test_the_first_screen_says_what_where_when_and_what_to_add(content, study) -
         r"the size of the noise\. The data show nothing more that is missing\.",
         found.detail,
     )
-    brief = {one.question: one for one in content.headline.brief}
-    assert brief["How sure is it"].lead == (
+    answers = {one.question: one for one in content.headline.answers}
+    assert "equals the noise" not in answers["What is wrong"].told
+    assert answers["What is wrong"].lead == "Nothing that these data show."
+    assert answers["How sure is it"].lead == (
         "That it was missing is practically certain (odds of more than a million to "
         "one)."
     )
     assert re.fullmatch(
         r"In free runs of up to [\d.]+ s it follows q to [\d.]+ m, the noise of the "
         r"measurements\.",
-        brief["How good is the model"].lead,
+        answers["How good is the model"].lead,
     )
     covered = r"The data cover q from -[\d.]+ to [\d.]+ m; measure again .*"
-    said = brief["What to do next"].detail
+    said = answers["What to do next"].detail
     assert re.fullmatch(covered, said)
     ends = [float(one) for one in re.findall(r"-?[\d.]+(?= to| m;)", said)]
     parts = (study.record.train, study.record.held_out)
@@ -214,11 +221,8 @@ def test_what_is_not_proven_is_told_with_the_reason_and_without_a_grade(study) -
     ranking = (replace(candidate, lost=lost),)
     diagnosis = unexplained(study.record.diagnoses[0], ranking=ranking)
     content = study_content(with_diagnoses(study, diagnosis))
-    told = content.diagnoses[0].paragraph
-    assert "it is not proven: it explains only 3 % of what is missing." in told.replace(
-        "but it", "it"
-    )
-    said = " ".join([told, *(one.told for one in content.headline.answers)])
+    said = " ".join(one.told for one in content.headline.answers)
+    assert "it explains only" not in said
     assert "decisive" not in said and "log evidence" not in said
 
 
@@ -235,17 +239,9 @@ def test_a_part_that_failed_before_is_told_in_the_past(study, content, page) -> 
     silent = study.record.diagnoses[1]
     alone = study_content(with_diagnoses(study, silent))
     assert (
-        alone.where == "Diagnosis" and "no missing effect" in alone.headline.certainty
+        alone.where == "Diagnosis"
+        and "no missing effect" in alone.headline.answers[-2].lead
     )
-
-
-def test_a_paragraph_tells_each_fact_once_in_sentences(content) -> None:
-    told = content.diagnoses[0].paragraph
-    sizes = re.findall(r"[\d.]+ ± [\d.]+ N", told)
-    assert len(sizes) == 1 and told.count("falls from") == 1
-    assert "What is missing acts in the force on q (dp/dt)" in told
-    assert "It shows clearly during " in told
-    assert told.endswith("Coulomb friction on p was added in step 1.")
 
 
 def test_calls_and_sums_are_in_the_folded_part_alone(study, page) -> None:
@@ -265,7 +261,9 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
         r"error on data not used for fitting fell from",
         headline.sentence,
     )
-    assert "Still unexplained: a missing force of" in headline.sentence
+    assert (
+        "What remains: a force is missing; the only effect tried" in headline.sentence
+    )
     answers = {fact.question: fact.detail for fact in headline.answers}
     assert "dp/dt lacks a force of" in answers["What is wrong"]
     assert "What to do next" in answers
@@ -279,8 +277,6 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
     )
     assert headline.severity == LOOK
     assert headline.remark == "with an effect that is not established"
-    answers = {fact.question: fact.lead for fact in headline.answers}
-    assert answers["What was added"] == "Coulomb friction on p, not established."
     said = "added, but not established: coulomb friction on p"
     assert said in str(record.summary.parts[-1].text)
     assert said in markdown_report(study_content(record))
@@ -294,20 +290,15 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     headline = content.headline
     tried = r"(none of the \d+ effects tried explains|the only effect tried does not)"
     assert re.match(f"A force is missing; {tried}", headline.sentence)
-    brief = {one.question: one for one in headline.brief}
-    rest = brief["What remains unexplained"]
-    assert re.match(
-        r"A missing force of [\d.]+ N \(rms\), .* of the net force", rest.lead
-    )
-    assert rest.detail.startswith("In the force on q (dp/dt)") and "run" in rest.detail
+    answers = {one.question: one.told for one in headline.answers}
+    assert answers["Where"].startswith("In the force on q (dp/dt)")
     assert re.match(
         r"In free runs of up to 5 s it follows q to 0\.\d+ m, [\d.]+ % of its range\. "
         r"On data not used for fitting, each run from a state that was estimated from "
         r"all of it; the noise is [\d.]+ m\. In the worst of its 2 runs "
         r"\(run \d\), 0\.\d+ m\.",
-        brief["How good is the model"].told,
+        answers["How good is the model"],
     )
-    answers = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
     wrong = answers["What is wrong"]
     # One scale for error and noise, in numbers that can be compared.
     assert re.search(
@@ -326,7 +317,7 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     # The pair predicts a tenth better than p alone, give or take.
     assert re.search(r"your own term to dp/dt, as a function of (q and )?p\.", do)
     (diagnosed,) = content.diagnoses
-    assert do.strip() in diagnosed.paragraph
+    assert headline.answers[: len(diagnosed.answers)] == diagnosed.answers
 
 
 @pytest.mark.parametrize(("shares", "kind", "variable", "expected"), [
@@ -605,9 +596,7 @@ def test_one_or_fifty_trajectories_and_eight_channels_with_gaps_come_out_well(
     for k in range(n_runs):
         channels = tuple(_channel(rng, f"x{c}", 300) for c in range(n_channels))
         runs.append(Run(f"run {k}", "training", channels))
-    many = replace(
-        content, glance=None, runs=tuple(runs), names=("base model",), shown=0
-    )
+    many = replace(content, runs=tuple(runs), names=("base model",), shown=0)
     text = html_report(many)
     assert len(text.encode()) < MOST_BYTES
     reader = Reader(text)

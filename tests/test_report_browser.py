@@ -39,9 +39,7 @@ def run(name: str) -> Run:
 
 def content() -> StudyContent:
     told = Answer("A friction was missing.", "The error fell.")
-    headline = Headline(
-        "nothing missing", GOOD, told, (told,), "nothing missing", (told,)
-    )
+    headline = Headline("nothing missing", GOOD, told, "nothing missing", (told,))
     steps = tuple(ErrorStep(name, 0.1, 0.2, 0.1, 1.0) for name in NAMES)
     formula = "<math display='block'><mi>q</mi></math>"
     models = tuple(Equations(name, ("q = 1",), (), (formula,)) for name in NAMES)
@@ -54,7 +52,6 @@ def content() -> StudyContent:
         headline=headline,
         steps=steps,
         unit="m",
-        glance=None,
         models=models,
         time=Scale("s"),
         names=NAMES,

@@ -178,14 +178,12 @@ def _code(found: Diagnosis, job: Job) -> int:
 
 def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
     code = ExitCode.DONE
-    advice = ""
     if job.is_auto:
         study.auto(job.max_steps or file.steps.max_steps, reach=job.reach)
         code = ExitCode(_code(study.diagnose(), job))
-        advice = str(study.diagnose().next_step)
     content = study.content()
     listed = {
-        "next": advice,
+        "next": str(content.headline.next_step) if job.is_auto else "",
         "stopped": study.stopped,
         "history": study.history,
         "final_rmse": [one.rmse for one in study.record.final_comparisons],
@@ -197,7 +195,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         "equations": study.fit.equations(),
         "unit": study.unit,
     }
-    text = lines(__package__, "study", study=study, content=content, advice=advice)
+    text = lines(__package__, "study", study=study, content=content)
     return Answer(text, plain(listed), code)
 
 

@@ -1,6 +1,5 @@
 """The record of a diagnosis: where a model fails, the candidates, the verdict."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
@@ -17,7 +16,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis, step_without_name
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import TRAINING, Answer
-from phsi_opt.presentation.numbers import capitalised, enumerated
+from phsi_opt.presentation.numbers import capitalised, enumerated, range_words
 from phsi_opt.presentation.summary import (
     Part,
     Summarised,
@@ -40,6 +39,11 @@ CANDIDATE_COLUMNS = [
 # Those that are printed; all would make lines too long to read.
 PRINTED = ("effect", "size", "log_evidence", "grade", "held_out_rmse")
 N_PRINTED = 6  # candidates that are printed
+HOW_TO_ADD = (
+    "In Python, study.add or study.auto adds it; phsi-opt study --auto on the command "
+    "line."
+)
+PROPOSED_EXPERIMENT = "found.separation proposes one"
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,13 +190,45 @@ class Diagnosis(Summarised):
     def next_step(self) -> Answer:
         """The recommended next step.
 
-        Add the named effect, distinguish the effects of a class, or do nothing; if no
-        effect is named, what to measure, to try or to check.
+        Add the named effect, or distinguish the effects of a class; if no effect is
+        named, what to measure, to try or to check; use the model if nothing is missing.
         """
         cause = self.data_cause
         if cause is not None:
             return Answer(f"{capitalised(cause.advice)}.", "Then diagnose again.")
-        return next_step(self.verdict, self.findings, self.analysis, self.data.units)
+        if self.verdict == Verdict.NOTHING_MISSING:
+            covered = ", ".join(self._ranges)
+            again = "measure again before you rely on it outside"
+            return Answer("Use the model.", f"The data cover {covered}; {again}.")
+        if not self.findings:
+            return step_without_name(self.analysis, self.data.units)
+        firsts = enumerated(str(finding.effects[0]) for finding in self.findings)
+        again = ", then diagnose again" if self.verdict == Verdict.PARTLY_NAMED else ""
+        apart = []
+        for finding in self.findings:
+            first, *others = map(str, finding.effects)
+            if others:
+                apart.append(f"{first} from {', '.join(others)}")
+        if not apart:
+            return Answer(f"Add {firsts}{again}.", how=HOW_TO_ADD)
+        return Answer(
+            f"Distinguish {'; '.join(apart)} by an experiment.",
+            f"Until then, you may use {firsts} in the model{again}.",
+            how=f"{capitalised(PROPOSED_EXPERIMENT)}. {HOW_TO_ADD}",
+        )
+
+    @property
+    def _ranges(self) -> list[str]:
+        """What the data cover, such as "q from -1 to 2 m", of at most four channels."""
+        found: dict[tuple[str, str], list[float]] = {}
+        for data in (self.data, self.base.data):
+            for one in data.look.channels:
+                found.setdefault((one.name, one.unit), []).extend(one.values[one.known])
+        covered = [(*key, values) for key, values in found.items() if values]
+        return [
+            f"{name} from {range_words(min(values), max(values), unit)}"
+            for name, unit, values in covered[:4]
+        ]
 
     @cached_property
     def separation(self) -> Separation | None:
@@ -272,46 +308,3 @@ class Diagnosis(Summarised):
         return text_of_summary(said, between="\n")
 
     __repr__ = __str__
-
-
-# ---- what to do next -----------------------------------------------------------------
-
-HOW_TO_ADD = (
-    "In Python, study.add or study.auto adds it; phsi-opt study --auto on the command "
-    "line."
-)
-PROPOSED_EXPERIMENT = "found.separation proposes one"
-
-
-def next_step(
-    verdict: Verdict,
-    findings: Sequence[Finding],
-    analysis: ForceAnalysis,
-    units: Mapping[str, str],
-) -> Answer:
-    """What to add, to measure, to try or to look at again.
-
-    A name is to be added, a class asks for an experiment; where nothing is named, the
-    missing force says what to measure or to look at again.
-    """
-    if verdict == Verdict.NOTHING_MISSING:
-        return Answer(
-            "Nothing: the residuals look like noise.",
-            "Check the model under other operating conditions; these data do not "
-            "cover them.",
-        )
-    if not findings:
-        return step_without_name(analysis, units)
-    firsts = enumerated(str(finding.effects[0]) for finding in findings)
-    again = ", then diagnose again" if verdict == Verdict.PARTLY_NAMED else ""
-    apart = []
-    for finding in findings:
-        first, *others = map(str, finding.effects)
-        if others:
-            apart.append(f"{first} from {', '.join(others)}")
-    if not apart:
-        return Answer(f"Add {firsts}{again}.", HOW_TO_ADD)
-    return Answer(
-        f"Distinguish {'; '.join(apart)} by an experiment; {PROPOSED_EXPERIMENT}.",
-        f"Until then, you may use {firsts} in the model{again}. {HOW_TO_ADD}",
-    )

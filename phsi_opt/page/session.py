@@ -55,12 +55,10 @@ class Look:
 
     @classmethod
     def worst(cls, content: StudyContent | None) -> "Look | None":
-        """Where the present model is said to fail; None: nowhere."""
-        if content is None or content.glance is None or content.present is None:
+        """Where the present model is off most; None: nothing sure is missing."""
+        if content is None or content.present is None or not content.present.forces:
             return None
-        glance = content.glance
-        is_told = bool(content.present.forces)
-        return cls(glance.run, glance.channel, glance.t) if is_told else None
+        return cls(*content.worst)
 
 
 @dataclass(frozen=True, eq=False)

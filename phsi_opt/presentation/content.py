@@ -20,6 +20,7 @@ Number = float | None
 
 TRAINING = "training"
 HELD_OUT = "held out"
+NEXT = "What to do next"  # the question that every list of answers has
 # Severities, each with a word that is printed beside its colour.
 GOOD = "good"
 LOOK = "look"
@@ -60,18 +61,19 @@ class Headline:
     status: str  # in a phrase
     severity: str  # how bad that is
     discovery: Answer  # what was found, and what it changed
-    # How sure that is, how much better the model is, what to do next.
-    brief: tuple[Answer, ...]
     badge: str  # the status as people read it
-    answers: tuple[Answer, ...]  # what is wrong, where, when, what to add
+    # What is wrong, where, when, what to do next, how sure that is, how good the model.
+    answers: tuple[Answer, ...]
     remark: str = ""  # on the status, such as "fast disturbance"; "": none
-    # How sure it is that something is missing, and whether why is known.
-    certainty: str = ""
     caution: str = ""  # what else to know before anything is believed; "" for nothing
 
     @property
     def sentence(self) -> str:
         return self.discovery.told
+
+    @property
+    def next_step(self) -> Answer:
+        return next(one for one in self.answers if one.question == NEXT)
 
 
 @dataclass(frozen=True)
@@ -197,10 +199,6 @@ class Run:
         times = self.channels[0].t
         return bool(times[0] <= t <= times[-1])
 
-    def worst(self, model: int) -> Channel:
-        """The channel in which a model is off most, as a share of its movement."""
-        return max(self.channels, key=lambda one: one.share_off(model))
-
 
 # ---- what is missing -----------------------------------------------------------------
 
@@ -310,7 +308,7 @@ class Diagnosed:
     """A diagnosis of one step's model."""
 
     heading: str  # which model it looks at
-    paragraph: str  # all of it, as an engineer would write it
+    answers: tuple[Answer, ...]  # what is wrong, where, when, what to do next
     verdict: str  # in a phrase
     reason: str  # in a sentence
     sentences: tuple[str, ...]  # where the model fails, in words
@@ -326,15 +324,6 @@ class Diagnosed:
         return tuple(one for one in self.ranking if one.is_likely)[:12]
 
 
-@dataclass(frozen=True)
-class Glance:
-    """The run, its channel and the time at which a model is off most, by numbers."""
-
-    run: int
-    channel: int
-    t: float
-
-
 # ---- all of it -----------------------------------------------------------------------
 
 
@@ -348,7 +337,6 @@ class StudyContent:
     steps: tuple[ErrorStep, ...]  # the errors step by step, in ``unit``
     unit: str
     errors: str  # where they have got
-    glance: Glance | None  # where it shows best what the verdict says; None: nowhere
     models: tuple[Equations, ...]  # base model and present model
     time: Scale  # the unit of all times
     # Of the models whose free runs are shown; the last is the present one.
@@ -385,6 +373,17 @@ class StudyContent:
         if self.headline.status != "nothing missing":
             return "Where it fails"
         return "Where the base model failed" if self.added else "Diagnosis"
+
+    @property
+    def worst(self) -> tuple[int, int, float]:
+        """Run and channel in which the present model is off most, and the time."""
+        off = {}
+        for k, run in enumerate(self.runs):
+            off |= {(k, c): one.share_off(-1) for c, one in enumerate(run.channels)}
+        run_number, number = max(off, key=off.__getitem__)
+        channel = self.runs[run_number].channels[number]
+        residual = np.abs(np.nan_to_num(channel.measured - channel.models[-1]))
+        return run_number, number, float(channel.t[np.argmax(residual)])
 
     def largest_error(self, channel: str) -> float:
         """The largest error of a channel, of all runs and models."""

@@ -1,10 +1,11 @@
 """The verdict on a study and its answers: what is wrong, where, when, what to do.
 
-Report and page show them on their first screens; a report's paragraph on each step has
-them too. Here are the facts; the sentences stand in ``words.jinja``.
+A diagnosis has one list of answers; the study adds to that of its present model how
+sure it is and how good the model is. Terminal, ``--json``, Markdown, report and page
+print these lists. Here are the facts; the sentences stand in ``words.jinja``.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -16,7 +17,7 @@ import pandas as pd
 from phsi_opt.comparison.compare import Comparison, is_failing
 from phsi_opt.criteria import CERTAIN_FORCE, SURE_ERROR
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
-from phsi_opt.diagnosis.record import PROPOSED_EXPERIMENT, Diagnosis
+from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import some_of
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.force_analysis.analysis import (
@@ -34,11 +35,12 @@ from phsi_opt.presentation.content import (
     BAD,
     GOOD,
     LOOK,
+    NEXT,
     VERDICT_WORDS,
     Answer,
     Headline,
 )
-from phsi_opt.presentation.numbers import number, range_words, said, with_error
+from phsi_opt.presentation.numbers import number, said, with_error
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
     STANDARD_DEVIATIONS,
@@ -60,26 +62,6 @@ SEVERITIES = {
     NOT_ASKED: LOOK,
 }
 NOT_ESTABLISHED = "with an effect that is not established"
-# The questions of the first screen: of what is missing, and of what was.
-PRESENT = ("What is wrong", "Where", "When", "What to add")
-UNNAMED = ("What is wrong", "Where", "When", "What to do next")
-# Where no diagnosis was asked for, or none found anything.
-NOT_YET = (
-    Answer("Not asked yet.", question="What is wrong"),
-    Answer(ASK, question="What to do"),
-)
-NOTHING_FOUND = (
-    Answer("These data show no missing effect.", question="What is wrong"),
-    Answer("Nothing.", question="What to add"),
-)
-PAST = ("What was wrong", "Where it was", "When", "What was added")
-# What ``words.jinja`` says to somebody who does not read on, and what it answers.
-AT_A_GLANCE = {
-    "next": "What to do next",
-    "how_sure": "How sure is it",
-    "how_much": "How good is the model",
-    "remains": "What remains unexplained",
-}
 POWERS_OF_TEN = (
     *("ten", "a hundred", "a thousand", "ten thousand"),
     *("a hundred thousand", "a million"),
@@ -107,12 +89,9 @@ def answer(name: str, diagnosis: Diagnosis, **more: Any) -> Answer:
         "disturbance": disturbance_word(diagnosis),
         "nearest": nearest_candidate(diagnosis),
         "vibration": VIBRATION_WORDS,
-        "experiment": PROPOSED_EXPERIMENT,
         "fall_with": partial(_fall_with, diagnosis),
-        "odds_words": odds_words,
         "found": [finding_words(diagnosis, one) for one in diagnosis.findings],
         "likely_cause": likely_cause,
-        "is_second_storage": is_second_storage,
     }
     return say(__package__, name, **facts, **more)
 
@@ -128,18 +107,32 @@ def _shared(is_held_out: bool) -> dict[str, Any]:
     }
 
 
-def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
+def answers_of(diagnosis: Diagnosis) -> dict[str, Answer]:
+    """What is wrong with a model, where and when, and what to do, by question."""
+    told = {"What is wrong": answer("wrong", diagnosis)}
+    if diagnosis.verdict != Verdict.NOTHING_MISSING:
+        told["Where"] = where_answer(diagnosis)
+        told["When"] = when_answer(diagnosis)
+    return {**told, NEXT: diagnosis.next_step}
+
+
+def asked(told: Mapping[str, Answer]) -> tuple[Answer, ...]:
+    """The answers that say something, with their questions."""
+    known = {question: one for question, one in told.items() if one.lead}
+    return tuple(replace(one, question=question) for question, one in known.items())
+
+
+def where_answer(diagnosis: Diagnosis) -> Answer:
     """Where a named effect acts; else what the force follows, or where it is."""
     force = diagnosis.analysis.force_in()
     place: Answer | str = ""
     places: list[str] = []
-    is_known = is_past or diagnosis.verdict == Verdict.NAMED
-    is_named = is_past or bool(diagnosis.findings)
+    is_known = diagnosis.verdict == Verdict.NAMED
     if is_known and len(diagnosis.findings) == 1 and diagnosis.findings[0].is_name:
         effect = diagnosis.findings[0].effects[0]
         place = law_answer(diagnosis.analysis, effect)
     elif not force.is_uncertain:
-        place = place_answer(force, is_named, is_known)
+        place = place_answer(force, bool(diagnosis.findings), is_known)
         # Where the members of the classes that were found act, each place once.
         classes = [one.effects for one in diagnosis.findings if not one.is_name]
         places = list(dict.fromkeys(map(_acts, chain(*classes))))
@@ -279,7 +272,7 @@ def only_follows(trained: Comparison, judged: Comparison) -> bool:
 STRONG_STRETCH = 1 / 3  # share of the strongest stretch's force, of one that counts
 
 
-def when_answer(diagnosis: Diagnosis, trained: Comparison) -> Answer:
+def when_answer(diagnosis: Diagnosis) -> Answer:
     """When the surest force is there, in which runs, where it is strongest."""
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
@@ -287,23 +280,19 @@ def when_answer(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     record = force.record
     runs = [np.flatnonzero(record.run == k) for k in range(len(record.trajectories))]
     sizes = _sizes(force, runs)
-    strongest = runs[force.strongest_run]
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
     window = force.window_words(longest=float(record.t.max()))
     is_in_one = np.sum(sizes > sizes.max() / 2) == 1
     return say(
         __package__,
         "when",
-        begin=_beginning(force, strongest) if is_in_one else "",
-        quantity=force.quantity,
-        again="repeatedly" if _comes_and_goes(force, strongest) else "",
+        begin=_beginning(force, runs[force.strongest_run]) if is_in_one else "",
         n_runs=len(runs),
         n_clear=len(clear),
         share=np.mean(force.is_sure[np.concatenate(clear)]),
         window=f"t = {window}" if window else "",
         run=force.window.trajectory if len(runs) > 1 else "the training record",
         gaps=gaps_of(diagnosis, force),
-        only_follows=only_follows(trained, diagnosis.base),
     )
 
 
@@ -322,17 +311,6 @@ def gaps_of(diagnosis: Diagnosis, force: EquationForce) -> list[str]:
 def _sizes(force: EquationForce, parts: Iterable[np.ndarray]) -> np.ndarray:
     """How large a force is in parts of the record, (n_parts,)."""
     return np.array([rms(force.w[inside]) for inside in parts])
-
-
-def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
-    """Whether a run has several stretches of a clear force, and weak ones between."""
-    stretches = np.array_split(inside, min(20, len(inside)))
-    sizes = _sizes(force, stretches)
-    least = STRONG_STRETCH * np.max(sizes)
-    if least < float(np.median(force.deviation[inside])):
-        return False
-    is_strong = (sizes > least).astype(int)
-    return int(np.sum(np.diff(is_strong, prepend=0) > 0)) >= 3
 
 
 def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
@@ -367,18 +345,22 @@ def headline_of(study: StudyRecord) -> Headline:
     present = study.present
     status = NOT_ASKED
     remark = ""
-    certainty = Answer("")
+    answers = {NEXT: Answer(ASK)}
     if present is not None:
         status = str(present.verdict)
         remark = disturbance_word(present)
-        certainty = answer("certainty", present, added=study.last.added)
+        answers = answers_of(present)
     severity = SEVERITIES[status]
     is_established = bool(study.last.added) and not study.unestablished
     is_partly = status == Verdict.UNEXPLAINED and is_established
     if study.unestablished and not remark:
         remark = NOT_ESTABLISHED
         severity = LOOK if severity == GOOD else severity
-    answers = _answers(study)
+    data = study.last.judged.data
+    longest = max(float(np.ptp(run.t)) for run in data)
+    facts = {"longest": time_words(longest, data.units.get("t", ""))}
+    answers["How sure is it"] = _certainty(study)
+    answers["How good is the model"] = said_of(study, "how_good", **facts)
     fit = study.last.cautioned
     caution = fit.caution or study.last.judged.warning
     cautions = (caution, undetermined_words(fit))
@@ -386,60 +368,27 @@ def headline_of(study: StudyRecord) -> Headline:
         status,
         severity,
         _discovery(study),
-        _brief(study, certainty.lead, answers[-1]),
         "partly explained" if is_partly else VERDICT_WORDS.get(status, status),
-        answers,
+        asked(answers),
         remark=remark,
-        certainty=str(certainty),
         caution=" ".join(filter(None, cautions)),
     )
 
 
-def _brief(study: StudyRecord, certainty: str, to_do: Answer) -> tuple[Answer, ...]:
-    """What somebody asks who does not read on."""
-    found = [one for _, one in sorted(study.diagnoses.items()) if one.findings]
-    evidence = [one.ranking[0].log_evidence for one in found]
+def _certainty(study: StudyRecord) -> Answer:
+    """The odds of what was found so far; without a name, whether anything lacks."""
+    found = [one for one in study.diagnoses.values() if one.findings]
+    if not found:
+        return answer("certainty", study.present) if study.present else Answer("")
     classes = list(chain(*(one.findings for one in found)))
-    names = [" or ".join(map(str, finding.effects)) for finding in classes]
-    data = study.last.judged.data
-    longest = max(float(np.ptp(run.t)) for run in data)
-    facts = {
-        "odds": odds_words(min(evidence)) if evidence else "",
-        "names": list(dict.fromkeys(names)),
-        "has_class": not all(finding.is_name for finding in classes),
-        "certainty": certainty,
-        "ranges": _ranges(study),
-        "longest": time_words(longest, data.units.get("t", "")),
-        "after": found[-1].ranking[0].comparison if found else None,
-        "to_do": to_do,
-    }
-    told = []
-    for name, question in AT_A_GLANCE.items():
-        one = _remains(study) if name == "remains" else said_of(study, name, **facts)
-        told += [replace(one, question=question)] if one.lead else []
-    return tuple(told)
-
-
-def _ranges(study: StudyRecord) -> list[str]:
-    """What the data cover, such as "q from -1 to 2 m", of at most four channels."""
-    found: dict[tuple[str, str], list[float]] = {}
-    for part in filter(None, (study.train, study.held_out, study.final)):
-        for one in part.look.channels:
-            found.setdefault((one.name, one.unit), []).extend(one.values[one.known])
-    covered = [(*key, values) for key, values in found.items() if values]
-    return [
-        f"{name} from {range_words(min(values), max(values), unit)}"
-        for name, unit, values in covered[:4]
-    ]
-
-
-def _remains(study: StudyRecord) -> Answer:
-    """The force that no effect explains: how large, where, when."""
-    present = study.present
-    if present is None or present.verdict in (Verdict.NOTHING_MISSING, Verdict.NAMED):
-        return Answer("")
-    when = when_answer(present, study.last.train)
-    return answer("remains", present, where=where_answer(present), when=when)
+    names = {" or ".join(map(str, finding.effects)) for finding in classes}
+    return said_of(
+        study,
+        "how_sure",
+        odds=odds_words(min(one.ranking[0].log_evidence for one in found)),
+        n_names=len(names),
+        has_class=not all(finding.is_name for finding in classes),
+    )
 
 
 def odds_words(log_evidence: float) -> str:
@@ -447,14 +396,6 @@ def odds_words(log_evidence: float) -> str:
     power = int(np.clip(log_evidence / np.log(10), 1, 6))
     how = "practically certain" if power >= 4 else "very likely"
     return f"{how} (odds of more than {POWERS_OF_TEN[power - 1]} to one)"
-
-
-def telling_step(study: StudyRecord) -> int | None:
-    """The step whose diagnosis is told on the first screen; None: no one is."""
-    missing = Verdict.NOTHING_MISSING
-    found = [k for k, one in sorted(study.diagnoses.items()) if one.verdict != missing]
-    last = len(study.steps) - 1
-    return last if last in found else next(iter(found), None)
 
 
 def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
@@ -506,9 +447,7 @@ def _discovery(study: StudyRecord) -> Answer:
     return said_of(
         study,
         "discovery",
-        remains=_remains(study),
         lacking=lacking,
-        ask=ASK,
         sure=sure,
         unsure=unsure,
         storages=storages,
@@ -522,64 +461,3 @@ def _beside(study: StudyRecord, effect: Effect) -> tuple[str, str]:
         if effect in finding.effects:
             classes = classes or alternatives(finding, str(effect))
     return size_words(study.last.fit, effect, study.size(effect)), classes
-
-
-def _answers(study: StudyRecord) -> tuple[Answer, ...]:
-    """The four answers of the diagnosis that is told; fewer where none found a lack."""
-    place = telling_step(study)
-    present = study.present
-    if place is None:
-        return NOT_YET if present is None else NOTHING_FOUND
-    diagnosis = study.diagnoses[place]
-    step = study.steps[place]
-    is_past = diagnosis is not present
-    if is_past:
-        questions = PAST
-        whose = "the base model's"
-        if step.added:
-            whose = f"with {' and '.join(map(str, step.added))}, the model's"
-        wrong = answer("was_wrong", diagnosis, whose=whose)
-        to_do = _was_added(study)
-    else:
-        questions = PRESENT if diagnosis.findings else UNNAMED
-        wrong = answer("wrong", diagnosis)
-        to_do = answer("to_do", diagnosis)
-    when = when_answer(diagnosis, step.train)
-    answers = (wrong, where_answer(diagnosis, is_past), when, to_do)
-    asked = zip(answers, questions, strict=True)
-    return tuple(replace(one, question=question) for one, question in asked)
-
-
-def _was_added(study: StudyRecord) -> Answer:
-    """What was added, with its present size, and how clear it was."""
-    open_ = {one.name: one.lost for one in study.unestablished}
-    clear = {name: f"was rejected: {lost}" for name, lost in open_.items() if lost}
-    for diagnosis in study.diagnoses.values():
-        for finding in diagnosis.findings:
-            odds = odds_words(diagnosis.ranking[0].log_evidence)
-            clear[str(finding.effects[0])] = f"is {odds}"
-    sizes = []
-    for effect in study.last.added:
-        name = str(effect)
-        told = called(name, *_beside(study, effect))
-        sizes.append(f"{name}, not established" if name in open_ else told)
-    names = map(str, study.last.added)
-    clear = {name: clear[name] for name in names if name in clear}
-    return said_of(study, "was_added", sizes=sizes, clear=clear)
-
-
-def step_story(study: StudyRecord, place: int) -> str:
-    """One diagnosis in a paragraph, as an engineer would write it."""
-    diagnosis = study.diagnoses[place]
-    if diagnosis.verdict == Verdict.NOTHING_MISSING:
-        return answer("noise_alone", diagnosis).lead
-    return answer(
-        "story",
-        diagnosis,
-        missing=answer("missing", diagnosis),
-        where=where_answer(diagnosis),
-        when=when_answer(diagnosis, study.steps[place].train),
-        to_do=answer("to_do", diagnosis),
-        place=place,
-        steps=study.steps,
-    ).lead

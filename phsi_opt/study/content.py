@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.compare import HORIZON_RESIDUAL, Comparison
-from phsi_opt.criteria import FAILING_ERROR, SURE_DEVIATIONS, SURE_LEVEL, WHITE_ERROR
+from phsi_opt.criteria import FAILING_ERROR, SURE_LEVEL, WHITE_ERROR
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
@@ -32,7 +32,6 @@ from phsi_opt.presentation.content import (
     Equations,
     Follows,
     ForceRun,
-    Glance,
     Headline,
     ParameterRow,
     Ranked,
@@ -55,6 +54,8 @@ from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import Scale, scale_of, scale_of_time
 from phsi_opt.screening.effect_size import NOT_DETERMINED, names_beside_size
 from phsi_opt.study.answers import (
+    answers_of,
+    asked,
     evidence_words,
     headline_of,
     nearest_candidate,
@@ -62,8 +63,6 @@ from phsi_opt.study.answers import (
     only_follows,
     said_of,
     samples_to_average,
-    step_story,
-    telling_step,
 )
 from phsi_opt.study.record import Step, StudyRecord
 
@@ -120,7 +119,6 @@ def study_content(
         steps=study.errors(size),
         unit=unit,
         errors=_errors(study),
-        glance=_glance(study, runs, time),
         models=tuple(models),
         time=time,
         names=tuple(names),
@@ -260,7 +258,7 @@ def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
     sure = [force for force in found if not force.is_uncertain]
     return Diagnosed(
         proper_names(heading),
-        step_story(study, place),
+        asked(answers_of(diagnosis)),
         str(diagnosis.verdict),
         diagnosis.reason,
         tuple(diagnosis.sentences),
@@ -335,45 +333,6 @@ def _beside_size(diagnosis: Diagnosis, one: Candidate) -> str:
 
 def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-# ---- where it shows best -------------------------------------------------------------
-
-
-def _glance(study: StudyRecord, runs: tuple[Run, ...], time: Scale) -> Glance | None:
-    """Where what the verdict tells of is seen best; None where no force is sure."""
-    place = telling_step(study)
-    if place is None:
-        return None
-    model = -1 if place == len(study.steps) - 1 else 0
-    force = study.diagnoses[place].analysis.force_in()
-    training = []
-    if not force.is_uncertain:
-        name = (TRAINING, force.window.trajectory)
-        training = [run for run in runs if (run.part, run.name) == name]
-    if not training:
-        return None
-
-    def off_share(run: Run) -> float:
-        """The error in its worst channel beside the movement."""
-        return run.worst(model).share_off(model)
-
-    run = max(training, key=off_share)
-    judging = [one for one in runs if one.part != TRAINING]
-    judged = max(judging or [run], key=off_share)
-    only_follows = off_share(judged) > 2 * off_share(run)  # what it was fitted to
-    run = judged if only_follows else run
-    channel = run.worst(model)
-    off = np.abs(np.nan_to_num(channel.measured - channel.models[model]))
-    if not only_follows:  # while the force is sure, in its strongest window
-        along = force_runs(force, TRAINING, time)[force.strongest_run]
-        sureness = np.interp(channel.t, along.t, np.abs(along.force) / along.std)
-        t = channel.t * time.size
-        inside = (t >= force.window.begin) & (t <= force.window.end)
-        is_sure = inside & (sureness > SURE_DEVIATIONS)
-        off = np.where(is_sure, off, 0.0) if is_sure.any() else sureness
-    where = (runs.index(run), run.channels.index(channel))
-    return Glance(*where, float(channel.t[np.argmax(off)]))
 
 
 # ---- checks of what remains --------------------------------------------------------
@@ -468,7 +427,7 @@ def _settings(study: StudyRecord, headline: Headline) -> tuple[Answer, ...]:
         "Inputs between samples": hold if study.train.inputs else "",
         "Loss": short_repr(study.loss),
         "Solver": study.last.fit.outcome.sentence,
-        "How to do what is proposed": headline.answers[-1].how,
+        "How to do what is proposed": headline.next_step.how,
         "Standard errors": str(study.last.fit.std_error_source),
         "Intervals": f"{100 * LEVEL:.0f} %, Student's distribution",
         "Seeds": SEEDS,

@@ -29,7 +29,7 @@ from problems.tools.pages import render
 EXAMPLES = ("Damped spring", "Motor with steps of voltage", "Heated room")
 PATIENCE = 120_000  # ms
 PRESENT = "The present model"
-ADDED = "What was added"
+ADDED = "What was missing"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 ROUNDS = 9  # of undo, redo and reload, of which the median counts
 N_SESSIONS = 20
@@ -97,7 +97,7 @@ def measured(page: Page, example: str) -> dict[str, float | str]:
     times: dict[str, list[float]] = {"undo": [], "redo": [], "reload": []}
     for _ in range(ROUNDS):
         for name, press, shown in (
-            ("undo", undo, "What to add"),
+            ("undo", undo, "What is missing"),
             ("redo", redo, ADDED),
         ):
             began = time.perf_counter()
