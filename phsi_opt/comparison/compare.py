@@ -6,7 +6,7 @@ sample would correct it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -40,7 +40,7 @@ from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import white_system
 from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.presentation.content import Channel
-from phsi_opt.presentation.numbers import with_interval
+from phsi_opt.presentation.numbers import label, with_interval
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, Scale, scale_of, spaced
 from phsi_opt.statistics import (
@@ -58,6 +58,8 @@ from phsi_opt.transcription.sensors import output_slopes, output_slopes_in_theta
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+
+    from phsi_opt.presentation.charts import Panel
 
 
 # Standard deviations of the noise beyond which one residual ends the horizon of a free
@@ -305,7 +307,7 @@ class Comparison(Summarised):
         """Draw measurements and free run of one trajectory, residuals below them.
 
         The band of the free run covers two standard deviations of its prediction, the
-        band of the residuals two of the noise. The residuals take a third of the axes.
+        band of the residuals two of the noise.
 
         Args:
             ax: Axes to draw on; None: a new figure.
@@ -314,7 +316,7 @@ class Comparison(Summarised):
         Raises:
             DataError: There is no such trajectory.
         """
-        from phsi_opt.presentation.pictures import plot_free_run
+        from phsi_opt.presentation.charts import Chart, channel_panels, drawn
 
         number = self.data.trajectory_number(trajectory)
         run = self.data.trajectories[number]
@@ -323,14 +325,16 @@ class Comparison(Summarised):
             f"noise floor {self.noise_floor:.3g} (all runs)"
         )
         time = scale_of(self.data.units.get("t", ""))
-        band = None
-        if self.bands is not None:
-            is_shown = np.isin(self.model.states, list(self.noise))
-            units = map(self.data.units.__getitem__, self.noise)
-            sizes = [scale.size for scale in map(scale_of, units)]
-            band = self.bands[number][:, is_shown] / sizes
-        channels = self.channels(number)
-        return plot_free_run(time.shown(run.t), channels, band, time.unit, title, ax)
+        panels: list[Panel] = []
+        for one in self.channels(number):
+            std = None
+            if self.bands is not None:
+                row = self.model.states.index(one.name)
+                unit = scale_of(self.data.units.get(one.name, ""))
+                std = self.bands[number][:, row] / unit.size
+            shown = replace(one, t=time.shown(run.t), std=std)
+            panels += channel_panels(shown, ("free run",))
+        return drawn(Chart(label("t", time.unit), tuple(panels)), title, ax)
 
     def channels(self, number: int) -> list[Channel]:
         """Every measured channel along the trajectory of a number, in its unit."""

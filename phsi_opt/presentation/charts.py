@@ -20,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from phsi_opt.presentation.content import (
+    Channel,
     ErrorStep,
     Follows,
     ForceMap,
@@ -174,25 +175,31 @@ def _steps(
 def run_chart(
     content: StudyContent, run: Run, channel: int, mark: Mark | None = None
 ) -> Chart:
-    """The channel of a number measured and simulated, with the residuals below.
+    """The channel of a number measured and simulated, with the residuals below."""
+    x_label = time_label(content.time.unit, run.origin)
+    panels = channel_panels(run.channels[channel], content.names)
+    return Chart(x_label, panels, run.title, mark=mark)
+
+
+def channel_panels(one: Channel, names: Sequence[str]) -> tuple[Panel, Panel]:
+    """A channel measured and simulated by models of these names; the residuals.
 
     Where curves lie upon each other, the residuals have most of the room.
     """
-    one = run.channels[channel]
     residuals = [one.measured - model for model in one.models]
     curves = []
-    for curve in _of_models(content.names, one.t, residuals):
+    for curve in _of_models(names, one.t, residuals):
         curves.append(replace(curve, name="", group=curve.name))
     largest = np.nanmax(np.abs(np.concatenate([[0.0], *residuals])))
     sigma = one.noise or 0.0
     noise = 2 * sigma if sigma > THINNEST * largest else None
     height = 1.4 if one.change < CLOSE else 0.5  # more where the curves are close
     below = Panel(label("residual", one.unit), curves, noise=noise, height=height)
-    x_label = time_label(content.time.unit, run.origin)
     measured = Curve("measured", one.t, one.measured, MEASURED, POINTS)
-    shown = [measured, *_of_models(content.names, one.t, one.models)]
-    above = Panel(one.title, shown)
-    return Chart(x_label, (above, below), run.title, mark=mark)
+    shown = _of_models(names, one.t, one.models)
+    if one.std is not None:
+        shown = [replace(curve, std=2 * one.std) for curve in shown]
+    return Panel(one.title, [measured, *shown]), below
 
 
 def _of_models(

@@ -161,6 +161,7 @@ class Channel:
     models: tuple[np.ndarray, ...]  # simulated by each model, as `StudyContent.names`
     errors: tuple[Number, ...]  # rms of the residual of each model, of all samples
     movement: float = 0.0  # standard deviation of all that was measured
+    std: np.ndarray | None = None  # of what the models predict
 
     @property
     def title(self) -> str:

@@ -1,4 +1,4 @@
-"""Pictures of free runs, profiles and estimates.
+"""Pictures of profiles and estimates.
 
 Each function takes arrays or tables, never a result of the package: so every result may
 call it. Each draws on ``ax`` (None: on a new figure), returns the axes, and its title
@@ -6,7 +6,6 @@ says what to see; where the title holds numbers of a result, the result words it
 Pictures of a missing force stand in `force_analysis`.
 """
 
-from collections.abc import Sequence
 from textwrap import fill
 from typing import Any
 
@@ -27,47 +26,7 @@ from phsi_opt.presentation.charts import (
     Panel,
     axes_of,
     draw,
-    drawn,
 )
-from phsi_opt.presentation.content import Channel
-from phsi_opt.presentation.numbers import label
-
-BAND = "run, two standard deviations"
-
-
-def plot_free_run(
-    t: np.ndarray,
-    channels: Sequence[Channel],
-    band: np.ndarray | None,
-    t_unit: str,
-    title: str,
-    ax: Axes | None = None,
-) -> Axes:
-    """Measurements and free run of one trajectory, (n_samples,) times ``t``.
-
-    The band is the standard deviation of each free run, (n_samples, n_channels).
-    """
-    curves: list[Curve] = []
-    residuals: list[Curve] = []
-    is_alone = len(channels) == 1
-    for n, one in enumerate(channels):
-        color, dots = (MODEL, MEASURED) if n == 0 else (f"C{n}", f"C{n + 3}")
-        std = None if band is None else 2 * band[:, n]
-        shown = one.models[0]
-        run = Curve(f"{one.name} free run", t, shown, color, std=std, band=BAND)
-        curves += [Curve(f"{one.name} measured", t, one.measured, dots, POINTS), run]
-        # One channel in its unit, several in standard deviations of their noise.
-        scale = 1.0 if is_alone else one.noise or 1.0
-        residuals.append(Curve("", t, (one.measured - shown) / scale, color))
-    names = ", ".join(channel.name for channel in channels)
-    units = {channel.unit for channel in channels}
-    unit = units.pop() if len(units) == 1 else ""
-    panels = [Panel(label(names, unit), curves)]
-    if all(channel.noise for channel in channels):
-        noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
-        told = label("residual", unit if is_alone else "noise std.")
-        panels.append(Panel(told, residuals, noise=noise, height=0.5))
-    return drawn(Chart(label("t", t_unit), tuple(panels)), title, ax)
 
 
 def plot_profile(
