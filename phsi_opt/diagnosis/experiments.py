@@ -22,6 +22,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
+from phsi_opt.force_analysis.waves import spectrum
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_rows
 from phsi_opt.optimization.column_function import in_numbers
@@ -130,15 +131,7 @@ def _separation(
     truth: "_FittedModel", imitator: "_FittedModel", noise: Mapping[str, float]
 ) -> Separation:
     """How well every experiment tells the imitator from the truth."""
-    data = truth.data
-    run = data.trajectories[truth.number]
-    t, u = run.t[:MOST_SAMPLES], run.u[:MOST_SAMPLES]
-    record = Experiment("the record", t, u, data.measured, truth.x0)
-    shown = truth.shown(record, data.states)
-    if shown is None:
-        raise SolveError(_not_simulated(run.name, truth.model))
-    simulated = SimulatedRecord(record, data, truth.model, shown)
-    spread = simulated.spread
+    data, spread, record = truth.data, truth.spread, truth.record
     sigma = {name: noise[name] for name in data.measured}
     # A further sensor would have the same share of the spread as those there are.
     shares = [sigma[name] / max(spread[name], TINY) for name in sigma]
@@ -152,9 +145,9 @@ def _separation(
 
     in_record = misfit([record])
     if in_record is None:
-        raise SolveError(_not_simulated(run.name, imitator.model))
+        raise imitator.not_simulated()
     rows = []
-    for experiment in experiments(simulated):
+    for experiment in experiments(truth):
         in_both = misfit([record, experiment])
         if in_both is not None:
             added = max(in_both - in_record, 0.0)
@@ -166,14 +159,6 @@ def _separation(
     )
     alike = bool((table["separation"] < SAME_PREDICTION).all())
     return Separation(table, float(np.sqrt(in_record / record.n_values)), alike)
-
-
-def _not_simulated(trajectory: str, model: Model) -> str:
-    return (
-        f"trajectory {trajectory!r} cannot be simulated with the model that has the "
-        f"parameters {', '.join(model.free)}: it may be stiff, or its solution may "
-        "diverge. Compare experiments with `simulate` instead."
-    )
 
 
 # ---- experiments ---------------------------------------------------------------------
@@ -195,57 +180,33 @@ class Experiment:
         return len(self.t) * len(self.measured)
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedRecord:
-    """A record as a fitted model runs along it, from which experiments are derived.
-
-    Sensors of all states show (n_samples, n_data_states).
-    """
-
-    experiment: Experiment
-    data: Measurements
-    model: Model
-    shown: np.ndarray
-
-    @cached_property
-    def spread(self) -> dict[str, float]:
-        """Standard deviation by state of the measurements, along the run."""
-        deviations = np.std(self.shown, axis=0).tolist()
-        return dict(zip(self.data.states, deviations, strict=True))
-
-    def words(self, value: float, name: str) -> str:
-        """A value with the unit of a state, an input or the time."""
-        scale = scale_of(self.data.units.get(name, ""))
-        return f"{value / scale.size:.3g}{spaced(scale.unit)}"
-
-
-def experiments(record: SimulatedRecord) -> Iterator[Experiment]:
+def experiments(truth: "_FittedModel") -> Iterator[Experiment]:
     """The experiments that a record suggests, each with one change."""
-    itself = record.experiment
-    yield from _other_starts(record)
-    frequency = dominant_frequency(record)
-    for column in range(len(record.data.inputs)):
-        yield from _other_inputs(record, column, frequency)
+    itself = truth.record
+    yield from _other_starts(truth)
+    frequency = dominant_frequency(truth)
+    for column in range(len(truth.data.inputs)):
+        yield from _other_inputs(truth, column, frequency)
     t = itself.t
     duration = t[-1] - t[0] + np.median(np.diff(t))
     times = np.concatenate([t + k * duration for k in range(N_REPEATS)])
     inputs = np.tile(itself.u, (N_REPEATS, 1))
     name = f"a record {N_REPEATS} times as long"
     yield replace(itself, name=name, t=times, u=inputs)
-    for state, spread in record.spread.items():
-        if state not in record.data.measured and spread > 0:
+    for state, spread in truth.spread.items():
+        if state not in truth.data.measured and spread > 0:
             measured = (*itself.measured, state)
             yield replace(itself, name=f"{state} measured, too", measured=measured)
 
 
-def _other_starts(record: SimulatedRecord) -> Iterator[Experiment]:
+def _other_starts(truth: "_FittedModel") -> Iterator[Experiment]:
     """Further out from the mean; each position moved, or each state without any."""
-    itself = record.experiment
-    model = record.model
+    itself = truth.record
+    model = truth.model
     x0 = itself.x0
-    spread = record.spread
-    places = list(map(model.index, record.data.states))
-    mean = np.mean(record.shown, axis=0)
+    spread = truth.spread
+    places = list(map(model.index, truth.data.states))
+    mean = np.mean(truth.course, axis=0)
     distance = np.abs(x0[places] - mean) / np.maximum(list(spread.values()), TINY)
     if np.max(distance) > LEAST_START_DISTANCE:
         for stretch in START_STRETCHES:
@@ -261,16 +222,16 @@ def _other_starts(record: SimulatedRecord) -> Iterator[Experiment]:
         shift = START_SHIFT * spread[state]
         moved = x0.copy()
         moved[row] += shift
-        name = f"initial {state} higher by {record.words(shift, state)}"
+        name = f"initial {state} higher by {truth.words(shift, state)}"
         yield replace(itself, name=name, x0=moved)
 
 
 def _other_inputs(
-    record: SimulatedRecord, column: int, frequency: float
+    truth: "_FittedModel", column: int, frequency: float
 ) -> Iterator[Experiment]:
     """One input, louder and softer, as sines, and as a sweep of their frequencies."""
-    itself = record.experiment
-    name = record.data.inputs[column]
+    itself = truth.record
+    name = truth.data.inputs[column]
     values = itself.u[:, column]
     size = float(np.std(values) or abs(np.mean(values)))
     if size == 0:
@@ -290,7 +251,7 @@ def _other_inputs(
     for factor in SINE_FREQUENCIES:
         f = factor * frequency
         if f < highest:
-            period = record.words(1 / f, "t")
+            period = truth.words(1 / f, "t")
             sine = np.sin(2 * np.pi * f * t)
             words = f"as a sine of period {period} with the same rms"
             yield driven(words, mean + amplitude * sine)
@@ -298,26 +259,19 @@ def _other_inputs(
     high = SINE_FREQUENCIES[-1] * frequency
     rise = (high - low) * t**2 / (2 * t[-1])
     sweep = np.sin(2 * np.pi * (low * t + rise))
-    periods = f"{record.words(1 / low, 't')} to {record.words(1 / high, 't')}"
+    periods = f"{truth.words(1 / low, 't')} to {truth.words(1 / high, 't')}"
     words = f"as a sweep of periods {periods} with the same rms"
     yield driven(words, mean + amplitude * sweep)
 
 
-def dominant_frequency(record: SimulatedRecord) -> float:
-    """Frequency of most power in the measured states, in periods per unit of time.
-
-    At least one period in the record.
-    """
-    t = record.experiment.t
-    even = np.linspace(t[0], t[-1], len(t))
-    power = np.zeros(len(even) // 2 + 1)
-    for name in record.data.measured:
-        shown = record.shown[:, record.data.states.index(name)]
-        y = np.interp(even, t, shown)
-        y = (y - y.mean()) / max(float(y.std()), TINY)
-        power += np.abs(np.fft.rfft(y * np.hanning(len(y)))) ** 2
-    frequencies = np.fft.rfftfreq(len(even), even[1] - even[0])
-    return float(frequencies[1 + np.argmax(power[1:])])
+def dominant_frequency(truth: "_FittedModel") -> float:
+    """Frequency of most power in the measured states, in periods per unit of time."""
+    t = truth.record.t
+    columns = list(map(truth.data.states.index, truth.data.measured))
+    y = truth.course[:, columns]
+    y = (y - y.mean(axis=0)) / np.maximum(y.std(axis=0), TINY)
+    found = spectrum(t, np.zeros(len(t), dtype=int), y)
+    return float(found.frequencies[np.argmax(np.sum(found.amplitudes**2, axis=1))])
 
 
 # ---- imitation -----------------------------------------------------------------------
@@ -345,6 +299,41 @@ class _FittedModel:
         if len(runs) != self.data.n_trajectories:
             runs = compare(self.fit, self.data).simulated
         return np.asarray(runs[self.number][0])
+
+    @cached_property
+    def record(self) -> Experiment:
+        """Its trajectory, as it was."""
+        run = self.data.trajectories[self.number]
+        t, u = run.t[:MOST_SAMPLES], run.u[:MOST_SAMPLES]
+        return Experiment("the record", t, u, self.data.measured, self.x0)
+
+    @cached_property
+    def course(self) -> np.ndarray:
+        """What sensors of all states show along the record, (n_samples, n_states)."""
+        shown = self.shown(self.record, self.data.states)
+        if shown is None:
+            raise self.not_simulated()
+        return shown
+
+    @cached_property
+    def spread(self) -> dict[str, float]:
+        """Standard deviation by state of the measurements, along the record."""
+        deviations = np.std(self.course, axis=0).tolist()
+        return dict(zip(self.data.states, deviations, strict=True))
+
+    def not_simulated(self) -> SolveError:
+        """Why its record cannot be compared with experiments."""
+        name = self.data.trajectories[self.number].name
+        return SolveError(
+            f"trajectory {name!r} cannot be simulated with the model that has the "
+            f"parameters {', '.join(self.model.free)}: it may be stiff, or its "
+            "solution may diverge. Compare experiments with `simulate` instead."
+        )
+
+    def words(self, value: float, name: str) -> str:
+        """A value with the unit of a state, an input or the time."""
+        scale = scale_of(self.data.units.get(name, ""))
+        return f"{value / scale.size:.3g}{spaced(scale.unit)}"
 
     @cached_property
     def _runs(self) -> Runs:
