@@ -115,7 +115,7 @@ def test_a_diagnosis_of_a_flat_run_says_so_before_anything_else(
 ) -> None:
     effect = ph.Effect("push", "F", "p", ph.formula("f", f=ph.Parameter()))
     diagnosed = ph.diagnose(flat_fit, swinging, effects=[effect])
-    assert diagnosed.sentences[0] == flat_sentence(["q"])
+    assert diagnosed.warning == flat_sentence(["q"])
     assert "The free run of q is almost constant" in str(diagnosed)
 
 

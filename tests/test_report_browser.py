@@ -44,7 +44,7 @@ def content() -> StudyContent:
     formula = "<math display='block'><mi>q</mi></math>"
     models = tuple(Equations(name, ("q = 1",), (), (formula,)) for name in NAMES)
     base = dict.fromkeys(StudyContent.__dataclass_fields__, ())
-    texts = ("subtitle", "errors", "runs_caption", "code", "stopped", "warning")
+    texts = ("subtitle", "errors", "runs_caption", "code", "stopped")
     empty = StudyContent(**base | dict.fromkeys(texts, ""))  # type: ignore[arg-type]
     return replace(
         empty,

@@ -164,6 +164,7 @@ def _diagnose_answer(found: Diagnosis, job: Job) -> Answer:
         "reason": found.reason,
         "proposed": found.proposed,
         "sentences": found.sentences,
+        "warning": found.warning,
         "next": str(found.next_step),
         "candidates": found.candidates,
     }

@@ -178,8 +178,8 @@ class Diagnosis(Summarised):
 
     @property
     def sentences(self) -> list[str]:
-        """Where the model fails, by equation, strongest first, after a warning."""
-        return [*filter(None, [self.warning]), *self.analysis.sentences]
+        """Where the model fails, by equation, strongest first."""
+        return self.analysis.sentences
 
     @property
     def warning(self) -> str:

@@ -149,23 +149,22 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
 
     force = analysis.force_in(equation)
     time = scale_of_time(float(force.record.t.max()), force.record.units.get("t", ""))
-    run = force_runs(force, TRAINING, time)[force.strongest_run]
-    found = map_of(force)
-    over_states = follows_chart(follows_of(force, force.map_variables[0]))
-    if found is not None:
-        over_states = Chart(found.x_label, map=found)
-    variable = force.single_variable
+    found = force_of(force, time)
+    if found.map is None:
+        over_states = follows_chart(follows_of(force, force.map_variables[0]))
+    else:
+        over_states = Chart(found.map.x_label, map=found.map)
     panels = (
-        (force_chart([run], time.unit), _sure_title(force)),
+        (force_chart([found.runs[found.shown]], time.unit), _sure_title(force)),
         (over_states, f"Mean missing {force.quantity} over the states"),
-        (follows_chart(follows_of(force)), dependence_title(force, variable)),
+        (follows_chart(found.follows), found.follows.sentence),
         _frequencies(force),
     )
     figure, axes = plt.subplots(2, 2, figsize=(12.0, 8.4), layout="constrained")
     for ax, (chart, title) in zip(axes.flat, panels, strict=True):
         draw(ax, chart)
         set_title(ax, fill(title, width=62), fontsize=10)
-    figure.suptitle(fill(sentence(force), width=120), fontsize=11)
+    figure.suptitle(fill(found.sentence, width=120), fontsize=11)
     return figure
 
 

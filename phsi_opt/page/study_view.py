@@ -113,8 +113,6 @@ class StudyView:
                 self._begins("Diagnose", self._session.diagnose, False)
             return
         said_by("verdict", content)
-        if content.warning:
-            alert(content.warning)
         if self._session.is_stale:
             return
         if diagnosed.averaged:

@@ -6,7 +6,7 @@ Numbers that are not known are NaN in arrays, and None elsewhere.
 """
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -360,7 +360,6 @@ class StudyContent:
     stopped: str  # why the automatic study stopped; "" where it did not run
     # Which of the effects added no diagnosis established.
     unestablished: tuple[str, ...]
-    warning: str  # what to do where the free run is flat; "" where it is not
     hold: str | Mapping[str, str]  # what inputs do between samples
 
     @property
@@ -378,10 +377,7 @@ class StudyContent:
     @property
     def worst(self) -> tuple[int, int, float]:
         """Run and channel in which the present model is off most, and the time."""
-        off = {}
-        for k, run in enumerate(self.runs):
-            off |= {(k, c): one.share_off(-1) for c, one in enumerate(run.channels)}
-        run_number, number = max(off, key=off.__getitem__)
+        run_number, number = foremost(self.runs, lambda one: one.share_off(-1))
         channel = self.runs[run_number].channels[number]
         residual = np.abs(np.nan_to_num(channel.measured - channel.models[-1]))
         return run_number, number, float(channel.t[np.argmax(residual)])
@@ -395,6 +391,14 @@ class StudyContent:
     def forces_along(self, run: Run) -> list[ForceRun]:
         place = (run.name, run.part)
         return [one for one in self.forces if (one.run, one.part) == place]
+
+
+def foremost(runs: Sequence[Run], size: Callable[[Channel], float]) -> tuple[int, int]:
+    """Numbers of the run and the channel of the largest size."""
+    sizes = {}
+    for k, run in enumerate(runs):
+        sizes |= {(k, c): size(one) for c, one in enumerate(run.channels)}
+    return max(sizes, key=sizes.__getitem__)
 
 
 def unestablished_words(names: Sequence[str]) -> str:

@@ -30,7 +30,6 @@ from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage, parameter_words
-from phsi_opt.model.laws import said_of as told_of_law
 from phsi_opt.presentation.content import (
     BAD,
     GOOD,
@@ -362,8 +361,8 @@ def headline_of(study: StudyRecord) -> Headline:
     answers["How sure is it"] = _certainty(study)
     answers["How good is the model"] = said_of(study, "how_good", **facts)
     fit = study.last.cautioned
-    caution = fit.caution or study.last.judged.warning
-    cautions = (caution, undetermined_words(fit))
+    warning = "" if study.last.train.warning else study.last.judged.warning
+    cautions = (fit.caution, warning, undetermined_words(fit))
     return Headline(
         status,
         severity,
@@ -429,19 +428,12 @@ def _discovery(study: StudyRecord) -> Answer:
     open_ = {one.name: one.lost for one in study.unestablished}
     sure = []
     unsure = []
-    storages = {}  # whose two numbers are too many for a heading
     for effect in added:
         is_alone = names.count(effect.name) == 1  # in one equation
         name = effect.name if is_alone else str(effect)
         beside = _beside(study, effect)
         if str(effect) in open_:
             unsure.append(called(name, *beside, open_[str(effect)]))
-        elif is_second_storage(effect):
-            also = ", ".join(told_of_law(effect.name)[1])  # such as "wall"
-            told = _storage_words(study.last.fit, effect)
-            for capacity in told[1:]:
-                storages[called(effect.name, also)] = capacity
-            sure.append(called(name, *told[:1], *beside[1:]))
         else:
             sure.append(called(name, *beside))
     return said_of(
@@ -450,7 +442,6 @@ def _discovery(study: StudyRecord) -> Answer:
         lacking=lacking,
         sure=sure,
         unsure=unsure,
-        storages=storages,
     )
 
 

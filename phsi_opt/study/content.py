@@ -37,6 +37,7 @@ from phsi_opt.presentation.content import (
     Ranked,
     Run,
     StudyContent,
+    foremost,
     thinned,
 )
 from phsi_opt.presentation.numbers import (
@@ -136,7 +137,6 @@ def study_content(
         added=tuple(map(str, study.last.added)),
         stopped=study.stopped,
         unestablished=tuple(one.name for one in study.unestablished),
-        warning=study.last.judged.warning,
         hold=study.train.hold,
     )
 
@@ -215,11 +215,8 @@ def _runs(study: StudyRecord, steps: Sequence[Step], time: Scale) -> tuple[Run, 
 
 def _most_changed(runs: tuple[Run, ...]) -> tuple[int, int]:
     """The run that judges, and its channel, in which the models differ most."""
-    places = []
-    for k, run in enumerate(runs):
-        if run.part == runs[0].part:
-            places += [(k, c) for c in range(len(run.channels))]
-    return max(places, key=lambda at: runs[at[0]].channels[at[1]].change)
+    judging = [run for run in runs if run.part == runs[0].part]  # the first ones
+    return foremost(judging, lambda one: one.change)
 
 
 def _run(
@@ -288,22 +285,19 @@ def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
         steps |= dict.fromkeys(map(str, study.steps[step].added), step)
     size, _ = study.error_scale
     classes: dict[str, list[str]] = {}
-    named = {}
     for finding in diagnosis.findings:
         names = list(map(str, finding.effects))
         classes |= dict.fromkeys(names, names)
-        named[names[0]] = finding
     ranked = []
     for one in diagnosis.ranking:
         alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
         alike.pop(one.name, None)
-        told = named.get(one.name, one)
-        is_sized = not one.lost or np.isfinite(told.std_error)
-        words = said(told.size.words(one.effect)) if is_sized else NOT_DETERMINED
+        is_sized = not one.lost or np.isfinite(one.std_error)
+        words = said(one.size.words(one.effect)) if is_sized else NOT_DETERMINED
         found = Ranked(
             one.name,
             "; ".join(filter(None, (words, _beside_size(diagnosis, one)))),
-            told.std_error,
+            one.std_error,
             evidence_words(one),
             _known(np.clip(one.share, 0.0, 1.0)),
             _known(size * one.train_rmse),
@@ -344,8 +338,6 @@ def _checks(study: StudyRecord) -> tuple[Check, ...]:
     checks: list[Check] = []
     for _, row in judged.table.iterrows():
         checks += _of_channel(row, judged, study.train.units.get("t", ""))
-    if judged.warning:
-        checks.append(Check("free run", BAD, judged.warning))
     fit = study.last.fit
     if study.last.cautioned.caution or not fit.outcome.success:
         severity = LOOK if fit.outcome.success else BAD
