@@ -226,10 +226,11 @@ class Comparison(Summarised):
     @cached_property
     def run_errors(self) -> np.ndarray:
         """`rmse` of each trajectory, (n_trajectories,)."""
-        squares = (np.concatenate(self.residuals) * self.weights) ** 2
-        ends = np.cumsum(list(map(len, self.residuals)))[:-1]
-        means = map(np.nanmean, np.split(squares[:, self._n_values > 0], ends))
-        return np.sqrt(np.nan_to_num(list(means)))
+        is_measured = self._n_values > 0
+        errors = [run[:, is_measured] for run in self.residuals]
+        weights = self.weights[is_measured]
+        means = [np.nanmean((error * weights) ** 2) for error in errors]
+        return np.sqrt(np.nan_to_num(means))
 
     @property
     def error_unit(self) -> str:

@@ -5,7 +5,7 @@ sure it is and how good the model is. Terminal, ``--json``, Markdown, report and
 print these lists. Here are the facts; the sentences stand in ``words.jinja``.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -43,7 +43,6 @@ from phsi_opt.presentation.numbers import number, said, with_error
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
     STANDARD_DEVIATIONS,
-    date_words,
     spaced,
     time_words,
 )
@@ -249,15 +248,12 @@ def undetermined_words(fit: Fit) -> str:
 
 def off_channels(judged: Comparison) -> pd.DataFrame:
     """The three channels that are farthest off, the worst first, in percent."""
-    table = judged.table.assign(off=100 - judged.table["fit_percent"])
-    x = pd.DataFrame(judged.data.stacked("x"), columns=list(judged.data.states))
-    x = x[table["state"]]
-    extent = (x.max() - x.min()).clip(lower=TINY)
-    table["of_range"] = table["off"] * (x.std(ddof=0) / extent).to_numpy()
-    ratio: pd.Series = table["noise_floor"] / table["rmse"].clip(lower=TINY)
-    table["noise"] = table["off"] * ratio
-    worst = np.argsort(-np.nan_to_num(table["off"].to_numpy(float)), kind="stable")
-    return table.iloc[worst[:3]]
+    ratio: pd.Series = judged.table["noise_floor"] / judged.table["rmse"].clip(
+        lower=TINY
+    )
+    off: pd.Series = 100 - judged.table["fit_percent"]
+    table = judged.table.assign(off=off, noise=off * ratio)
+    return table.sort_values("off", ascending=False, kind="stable")[:3]
 
 
 def only_follows(trained: Comparison, judged: Comparison) -> bool:
@@ -268,8 +264,6 @@ def only_follows(trained: Comparison, judged: Comparison) -> bool:
 
 # ---- when ----------------------------------------------------------------------------
 
-STRONG_STRETCH = 1 / 3  # share of the strongest stretch's force, of one that counts
-
 
 def when_answer(diagnosis: Diagnosis) -> Answer:
     """When the surest force is there, in which runs, where it is strongest."""
@@ -278,62 +272,23 @@ def when_answer(diagnosis: Diagnosis) -> Answer:
         return Answer("At no time significantly.")
     record = force.record
     runs = [np.flatnonzero(record.run == k) for k in range(len(record.trajectories))]
-    sizes = _sizes(force, runs)
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
     window = force.window_words(longest=float(record.t.max()))
-    is_in_one = np.sum(sizes > sizes.max() / 2) == 1
     return say(
         __package__,
         "when",
-        begin=_beginning(force, runs[force.strongest_run]) if is_in_one else "",
         n_runs=len(runs),
         n_clear=len(clear),
         share=np.mean(force.is_sure[np.concatenate(clear)]),
         window=f"t = {window}" if window else "",
         run=force.window.trajectory if len(runs) > 1 else "the training record",
-        gaps=gaps_of(diagnosis, force),
     )
-
-
-def gaps_of(diagnosis: Diagnosis, force: EquationForce) -> list[str]:
-    """Which channels lack a tenth of the samples where the force is strongest."""
-    window = force.window
-    if window.is_whole:
-        return []
-    data = diagnosis.data
-    run = data.trajectories[data.trajectory_number(window.trajectory)]
-    inside = (run.t >= window.begin) & (run.t <= window.end)
-    shares = zip(data.states, np.mean(np.isnan(run.x[inside]), axis=0), strict=True)
-    return [name for name, share in shares if share > 0.1 and name in data.measured]
-
-
-def _sizes(force: EquationForce, parts: Iterable[np.ndarray]) -> np.ndarray:
-    """How large a force is in parts of the record, (n_parts,)."""
-    return np.array([rms(force.w[inside]) for inside in parts])
 
 
 def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
     """Whether a part of the force exceeds its standard deviation."""
     typical = float(np.median(force.deviation[inside]))
     return rms(force.w[inside]) > CERTAIN_FORCE * typical
-
-
-def _beginning(force: EquationForce, inside: np.ndarray) -> str:
-    """The time before which the force is far weaker, in words; "": none is such."""
-    record = force.record
-    parts = np.array_split(inside, min(40, len(inside)))
-    sizes = _sizes(force, parts)
-    for part, size in zip(parts[1:], sizes[1:], strict=True):
-        first = part[0]
-        before = rms(force.w[inside[0] : first])
-        after = rms(force.w[first : inside[-1] + 1])
-        if size > STRONG_STRETCH * max(sizes) and after > 3 * max(before, TINY):
-            t = float(record.t[first] - record.estimate.grid.h[first] / 2)
-            date = date_words(t, record.origin_of(force.window.trajectory))
-            longest = float(record.t.max())
-            told = time_words(t, record.units.get("t", ""), longest=longest)
-            return told + (f" ({date})" if date else "")
-    return ""
 
 
 # ---- the study as a whole ------------------------------------------------------------
