@@ -344,10 +344,10 @@ def test_what_to_do_follows_from_what_the_force_looks_like(
         wave=None,
         equation="p",
         causes=Causes(shares, {}),
-        record=SimpleNamespace(model=model),
+        record=SimpleNamespace(model=model, units={}),
         follows=pd.DataFrame(row),
     )
-    assert expected in str(advice_of_cause({}, force))
+    assert expected in str(advice_of_cause(force))
 
 
 def test_digits_stop_where_they_say_nothing() -> None:

@@ -410,7 +410,7 @@ def test_cogging_follows_the_angle_and_repeats_six_times_a_turn() -> None:
 
 def test_it_is_told_what_to_write_and_that_finds_the_cogging() -> None:
     analysis = analysed(cogging)
-    answer = step_without_name(analysis, {"q": "rad", "t": "s"})
+    answer = step_without_name(analysis)
     assert answer.lead == "Add your own term to dp/dt that is periodic in q."
     said = 'study.add(ph.Effect("ripple", "F", "p", ph.trigonometric("q")))'
     assert said in answer.how
@@ -533,7 +533,7 @@ def test_a_circuit_lacks_a_voltage_and_knows_no_positions() -> None:
     found = circuit_with(-3.0)
     force = found.force_in()
     assert force.equation == "i"
-    said = " ".join((found.sentences[0], str(place_answer(force, False, False))))
+    said = " ".join((found.sentences[0], str(place_answer(force))))
     assert "di/dt lacks a voltage of rms" in said
     assert "the voltage uC" in said
     figure = plot_where(found)

@@ -1,6 +1,6 @@
 """The record of a diagnosis: where a model fails, the candidates, the verdict."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,6 @@ from phsi_opt.presentation.summary import (
     Summarised,
     Summary,
     printed_table,
-    text_of_summary,
 )
 from phsi_opt.presentation.units import scale_of
 
@@ -46,7 +45,7 @@ HOW_TO_ADD = (
 PROPOSED_EXPERIMENT = "found.separation proposes one"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Summarised):
     """The result of `diagnose`.
 
@@ -64,15 +63,16 @@ class Diagnosis(Summarised):
             explain most of the misfit; no effect is named then.
     """
 
-    record: Record = field(repr=False)
-    base: Comparison = field(repr=False)
-    ranking: tuple[Candidate, ...] = field(repr=False)
+    _between = "\n"
+    record: Record
+    base: Comparison
+    ranking: tuple[Candidate, ...]
     verdict: Verdict
     reason: str
     findings: tuple[Finding, ...] = ()
     proposed: tuple[Effect, ...] = ()
-    proposed_fit: Fit | None = field(repr=False, default=None)
-    data_cause: DataCause | None = field(repr=False, default=None)
+    proposed_fit: Fit | None = None
+    data_cause: DataCause | None = None
 
     @property
     def fit(self) -> Fit:
@@ -201,7 +201,7 @@ class Diagnosis(Summarised):
             again = "measure again before you rely on it outside"
             return Answer("Use the model.", f"The data cover {covered}; {again}.")
         if not self.findings:
-            return step_without_name(self.analysis, self.data.units)
+            return step_without_name(self.analysis)
         firsts = enumerated(str(finding.effects[0]) for finding in self.findings)
         again = ", then diagnose again" if self.verdict == Verdict.PARTLY_NAMED else ""
         apart = []
@@ -282,9 +282,7 @@ class Diagnosis(Summarised):
         return plot_where(self.analysis, equation)
 
     def _summary(self) -> Summary:
-        said = [self.reason]
-        if self.warning:
-            said.append(self.warning)
+        said = [self.warning]
         if self.verdict == Verdict.UNEXPLAINED:
             said.append(f"next: {self.next_step}")
         rows = []
@@ -294,17 +292,10 @@ class Diagnosis(Summarised):
             rows.append((one.name, size, evidence, one.grade, one.held_out_rmse))
         best = printed_table(rows, columns=list(PRINTED))
         return Summary(
-            str(self.verdict),
+            f"{self.verdict}: {self.reason}",
             (
-                Part(text="\n".join(said)),
+                Part(text="\n".join(filter(None, said))),
                 Part("where it fails", table=self.where),
                 Part("candidates, best first", table=best),
             ),
         )
-
-    def __str__(self) -> str:
-        summary = self._summary()
-        said = Summary(f"{summary.title}: {summary.parts[0].text}", summary.parts[1:])
-        return text_of_summary(said, between="\n")
-
-    __repr__ = __str__

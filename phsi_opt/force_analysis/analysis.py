@@ -9,7 +9,7 @@ Here are the facts; the sentences stand in ``words.jinja``. A velocity has no sy
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phsi_opt.arguments import require_known
-from phsi_opt.criteria import CLEAR_PATTERN, MOST_OF_IT, NAMED_CAUSE
+from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.cross_validation import odd_basis
-from phsi_opt.force_analysis.dependence import CAUSES, leading
+from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.waves import period_of
@@ -147,7 +147,6 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
         "rate_of": RATES.get(force.scale.unit, "") if force.position else "",
         "vibration": VIBRATION_WORDS,
         "clear_pattern": CLEAR_PATTERN,
-        "mostly": MOST_OF_IT,
         "plain": partial(plain_name, force),
         "place": partial(place_words, force),
         "loss_of": _loss_of,
@@ -162,16 +161,9 @@ def sentence(force: EquationForce) -> str:
     return _said(force, "sentence", window=force.window_words(), best=best).lead
 
 
-def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer:
-    """The equation of a force, and what it follows or else where it is largest."""
-    shares = force.causes.shares
-    return _said(
-        force,
-        "place_of",
-        is_named=is_named,
-        is_known=is_known,
-        is_part=any(shares[cause] > NAMED_CAUSE for cause in CAUSES),
-    )
+def place_answer(force: EquationForce) -> Answer:
+    """The equation of a force, what it follows, and where it is largest."""
+    return _said(force, "place_of")
 
 
 def law_answer(analysis: ForceAnalysis, effect: Effect) -> Answer:
@@ -251,24 +243,22 @@ def plain_name(force: EquationForce, name: str) -> str:
 # ---- what to do next -----------------------------------------------------------------
 
 
-def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answer:
+def step_without_name(analysis: ForceAnalysis) -> Answer:
     """What to do about the surest missing force, for which there is no name."""
     force = analysis.force_in()
     if force.is_uncertain:
         return say(__package__, "unsure")
     if force.pace.is_vibration:
         return say(__package__, "shakes", n=force.pace.samples_per_cycle)
-    return advice_of_cause(units, force)
+    return advice_of_cause(force)
 
 
-def likely_cause(units: Mapping[str, str], force: EquationForce) -> str:
+def likely_cause(force: EquationForce) -> str:
     """What seems to be wrong: the begin of a sentence; "" if nothing stands out."""
-    return advice_of_cause(units, force, "likely").lead
+    return advice_of_cause(force, "likely").lead
 
 
-def advice_of_cause(
-    units: Mapping[str, str], force: EquationForce, name: str = "advice"
-) -> Answer:
+def advice_of_cause(force: EquationForce, name: str = "advice") -> Answer:
     """What follows from the strongest cause of a force, or from there being none.
 
     A cause counts unless it explains less than is left.
@@ -283,7 +273,7 @@ def advice_of_cause(
         force=force,
         model=model,
         rate=f"d{force.equation}/dt",
-        kind=kind_of(with_kinds_of_units(model, units), force.equation),
+        kind=kind_of(with_kinds_of_units(model, force.record.units), force.equation),
         law_of=_followed,
         plain=partial(plain_name, force),
     )

@@ -209,13 +209,6 @@ class Causes:
         return [cause for cause, share in found if share > least[cause]]
 
     @property
-    def clear(self) -> str:
-        """The cause that the force clearly follows; "" where there is none."""
-        shares = self.shares
-        strongest = max(CAUSES, key=shares.__getitem__)
-        return strongest if shares[strongest] >= CLEAR_PATTERN else ""
-
-    @property
     def first(self) -> str:
         """The strongest cause beside the parameters, where it is worth naming."""
         first = next((cause for cause in self.contributions if cause in CAUSES), "")

@@ -395,7 +395,7 @@ class StudyContent:
 
 def foremost(runs: Sequence[Run], size: Callable[[Channel], float]) -> tuple[int, int]:
     """Numbers of the run and the channel of the largest size."""
-    sizes = {}
+    sizes: dict[tuple[int, int], float] = {}
     for k, run in enumerate(runs):
         sizes |= {(k, c): size(one) for c, one in enumerate(run.channels)}
     return max(sizes, key=sizes.__getitem__)

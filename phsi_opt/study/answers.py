@@ -125,12 +125,12 @@ def where_answer(diagnosis: Diagnosis) -> Answer:
     force = diagnosis.analysis.force_in()
     place: Answer | str = ""
     places: list[str] = []
-    is_known = diagnosis.verdict == Verdict.NAMED
-    if is_known and len(diagnosis.findings) == 1 and diagnosis.findings[0].is_name:
+    is_alone = len(diagnosis.findings) == 1 and diagnosis.findings[0].is_name
+    if diagnosis.verdict == Verdict.NAMED and is_alone:
         effect = diagnosis.findings[0].effects[0]
         place = law_answer(diagnosis.analysis, effect)
     elif not force.is_uncertain:
-        place = place_answer(force, bool(diagnosis.findings), is_known)
+        place = place_answer(force)
         # Where the members of the classes that were found act, each place once.
         classes = [one.effects for one in diagnosis.findings if not one.is_name]
         places = list(dict.fromkeys(map(_acts, chain(*classes))))
