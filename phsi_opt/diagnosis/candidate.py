@@ -90,8 +90,8 @@ class Candidate:
     effect: Effect
     coefficient: float
     std_error: float
-    values: dict[str, float] = field(default_factory=dict, repr=False)
-    states: np.ndarray | None = field(default=None, repr=False)
+    values: dict[str, float] = field(default_factory=dict)
+    states: np.ndarray | None = None
     log_bayes: float = np.nan
     log_predictive: float = np.nan
     was_weighed: bool = False
@@ -103,9 +103,9 @@ class Candidate:
     share: float = np.nan
     lost: str = ""
     unit: str = ""
-    fit: Fit | None = field(default=None, repr=False)
-    trained: Comparison | None = field(default=None, repr=False)
-    comparison: Comparison | None = field(default=None, repr=False)
+    fit: Fit | None = None
+    trained: Comparison | None = None
+    comparison: Comparison | None = None
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, lost={self.lost!r})"

@@ -10,7 +10,7 @@ re-fitting removes does not count. Where the second model imitates the first eve
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -28,7 +28,7 @@ from phsi_opt.model.structure import position_rows
 from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.presentation.units import scale_of, spaced
-from phsi_opt.simulation.simulate import Runs, SampledInputs, rates
+from phsi_opt.simulation.simulate import SampledInputs, free_run
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.losses import MaximumLikelihood
 
@@ -71,7 +71,7 @@ class Separation:
         alike: whether the two predict the same in every experiment.
     """
 
-    table: "pd.DataFrame" = field(repr=False)
+    table: "pd.DataFrame"
     in_record: float
     alike: bool
 
@@ -335,20 +335,17 @@ class _FittedModel:
         scale = scale_of(self.data.units.get(name, ""))
         return f"{value / scale.size:.3g}{spaced(scale.unit)}"
 
-    @cached_property
-    def _runs(self) -> Runs:
-        return Runs(rates(self.model.rhs(), self.model.theta))
-
     def shown(self, experiment: Experiment, names: Sequence[str]) -> np.ndarray | None:
         """What sensors show, (n_samples, n_names); None: it cannot be simulated."""
         model = self.model
         columns = list(map(self.data.inputs.index, model.inputs))
         hold = hold_of_each(self.data.hold, self.data.inputs)[columns]
         u = experiment.u[:, columns]
-        inputs = SampledInputs.of(model, experiment.t, u, hold)
-        x = self._runs.run(inputs, experiment.x0)
-        if x is None:
+        try:
+            x = free_run(model, experiment.t, experiment.x0, u, self.data.hold)
+        except SolveError:
             return None
+        inputs = SampledInputs.of(model, experiment.t, u, hold)
         u = inputs.u[inputs.samples]
         (y,) = in_numbers(model.output(), x.T, u.T, experiment.t[None], model.theta)
         return y[list(map(model.index, names))].T

@@ -14,7 +14,6 @@ from phsi_opt.errors import some_of
 from phsi_opt.presentation.content import VERDICT_WORDS, Answer, unestablished_words
 from phsi_opt.presentation.numbers import (
     capitalised,
-    change_words,
     enumerated,
     lowered,
     number,
@@ -40,10 +39,7 @@ if TYPE_CHECKING:
 BEHIND_LEAD = "||"
 # Blanks before a stop or a comma, and inside of brackets.
 UNWANTED = re.compile(r" (?=[.,;:](?:\s|$)|\))|(?<=\() ")
-GLOBALS = (
-    *(change_words, frequency_words, p_value_words),
-    *(scale_of, scale_of_errors, spaced),
-)
+GLOBALS = (frequency_words, p_value_words, scale_of, scale_of_errors, spaced)
 FILTERS = {
     "number": number,
     "percent": percent,
@@ -72,7 +68,6 @@ def environment(package: str, folder: str = "", **settings: Any) -> "Environment
     found = Environment(loader=loader, undefined=StrictUndefined, **lines | settings)
     found.filters |= FILTERS
     found.globals |= {one.__name__: one for one in GLOBALS}
-    found.tests["startingwith"] = str.startswith
     return found
 
 

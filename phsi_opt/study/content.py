@@ -98,11 +98,11 @@ def study_content(
     # Whose free runs are drawn: base, first, last.
     steps = {k: study.steps[k] for k in sorted({0, min(1, last), last})}
     runs = _runs(study, list(steps.values()), time)
-    names = [steps[0].label]
-    for k, step in list(steps.items())[1:]:
-        verb = "" if step.label.startswith("without ") else "with "
-        names.append(f"step {k}: {verb}{proper_names(step.label)}")
     size, unit = study.error_scale
+    errors = study.errors(size)
+    names = [steps[0].label]
+    for k in list(steps)[1:]:
+        names.append(f"step {k}: {proper_names(errors[k].change(k))}")
     models = [_model("Base model", study.steps[0].fit)]
     if last:
         added = enumerated(map(str, study.last.added))
@@ -117,7 +117,7 @@ def study_content(
         title=study.title or f"Study of {', '.join(map(label, measured, units))}",
         subtitle=described.lead,
         headline=headline,
-        steps=study.errors(size),
+        steps=errors,
         unit=unit,
         errors=_errors(study),
         models=tuple(models),
