@@ -203,7 +203,7 @@ def test_a_table_tells_which_effect_was_accepted_and_the_grade_of_no_other(
 ) -> None:
     first, last = content.diagnoses
     (named,) = first.ranking
-    assert named.result == "accepted, added in step 1"
+    assert named.result == "accepted"
     assert named.evidence.startswith("decisive, log evidence")
     (candidate,) = study.record.diagnoses[0].ranking
     rejected = replace(candidate, lost="its size ends at a bound")

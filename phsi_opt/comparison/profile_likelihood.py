@@ -81,14 +81,40 @@ class Profile:
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """The profile and the parabola of the standard error, with the threshold."""
-        from phsi_opt.presentation.pictures import plot_profile
+        from scipy.interpolate import PchipInterpolator
 
-        ax = plot_profile(
-            self.points, self.value, self.curvature, self.threshold, self.level, ax
+        from phsi_opt.presentation.charts import (
+            FLOOR,
+            MEASURED,
+            MODEL,
+            POINTS,
+            Chart,
+            Curve,
+            Panel,
+            drawn,
+        )
+
+        held, rise = self.points.T
+        # The signed root of the rise is nearly straight, so a smooth curve goes through
+        # few points.
+        root = PchipInterpolator(held, np.sign(held - self.value) * np.sqrt(rise))
+        inside = np.linspace(held[0], held[-1], 200)  # no corner is seen
+        lower, upper = self.curvature
+        wide = np.linspace(min(held[0], lower), max(held[-1], upper), 200)
+        half_width = (upper - lower) / 2
+        parabola = self.threshold * ((wide - self.value) / half_width) ** 2
+        level = np.full(200, self.threshold)
+        curves = (
+            Curve("profile", inside, root(inside) ** 2, MODEL),
+            Curve("re-fits", held, rise, MODEL, POINTS),
+            Curve("curvature", wide, parabola, MEASURED, "dash"),
+            Curve(f"{100 * self.level:.3g} %", wide, level, FLOOR, "dot"),
         )
         interval = f"{self.ci_lower:.4g} to {self.ci_upper:.4g}"
         title = f"{self.name}: the profile is below the threshold from {interval}"
-        ax.set(xlabel=self.name, title=title)
+        panel = Panel("rise of -2 log likelihood", curves)
+        ax = drawn(Chart(self.name, (panel,)), title, ax)
+        ax.set_ylim(0, 2 * self.threshold)
         return ax
 
     def __str__(self) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from phsi_opt.comparison.compare import compare
 from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError, PhsiOptError, SolveError
+from phsi_opt.errors import PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.force_analysis.waves import spectrum
@@ -107,20 +107,11 @@ def separating(
     the longest trajectory of the data that both were fitted to.
 
     Raises:
-        DataError: the noise of a measured state is not positive.
         SolveError: the record itself cannot be simulated with both models.
     """
     number = int(np.argmax([run.n_samples for run in data.trajectories]))
-    values = np.asarray(noise, dtype=float).tolist()
     # A model with memory has more states than its noise names.
-    by_state = dict(zip(first.model.states, values, strict=False))
-    for name in data.measured:
-        if not 0 < by_state.get(name, np.nan) < np.inf:
-            raise DataError(
-                f"noise of {name!r} is {by_state.get(name)!r}; "
-                "expected a positive standard deviation per measured state, "
-                "such as `Comparison.sigma`."
-            )
+    by_state = dict(zip(first.model.states, noise.tolist(), strict=False))
     one = _FittedModel(first, data, number)
     other = _FittedModel(second, data, number)
     found = _separation(one, other, by_state)
@@ -236,14 +227,7 @@ def _other_inputs(
     size = float(np.std(values) or abs(np.mean(values)))
     if size == 0:
         return
-
-    def driven(words: str, values: np.ndarray) -> Experiment:
-        u = itself.u.copy()
-        u[:, column] = values
-        return replace(itself, name=f"{name} {words}", u=u)
-
-    for gain in INPUT_GAINS:
-        yield driven(f"multiplied by {gain:g}", gain * values)
+    changes = {f"multiplied by {gain:g}": gain * values for gain in INPUT_GAINS}
     mean = float(np.mean(values))
     amplitude = np.sqrt(2) * size
     t = itself.t - itself.t[0]
@@ -254,14 +238,18 @@ def _other_inputs(
             period = truth.words(1 / f, "t")
             sine = np.sin(2 * np.pi * f * t)
             words = f"as a sine of period {period} with the same rms"
-            yield driven(words, mean + amplitude * sine)
+            changes[words] = mean + amplitude * sine
     low = SINE_FREQUENCIES[0] * frequency
     high = SINE_FREQUENCIES[-1] * frequency
     rise = (high - low) * t**2 / (2 * t[-1])
     sweep = np.sin(2 * np.pi * (low * t + rise))
     periods = f"{truth.words(1 / low, 't')} to {truth.words(1 / high, 't')}"
     words = f"as a sweep of periods {periods} with the same rms"
-    yield driven(words, mean + amplitude * sweep)
+    changes[words] = mean + amplitude * sweep
+    for words, changed in changes.items():
+        u = itself.u.copy()
+        u[:, column] = changed
+        yield replace(itself, name=f"{name} {words}", u=u)
 
 
 def dominant_frequency(truth: "_FittedModel") -> float:

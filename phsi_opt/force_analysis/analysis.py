@@ -226,18 +226,9 @@ def place_words(force: EquationForce, names: Iterable[str]) -> str:
 
 
 def plain_name(force: EquationForce, name: str) -> str:
-    """A variable as it is called in speech: a velocity by its position."""
-    model = force.record.model
-    if name not in model.efforts:
-        return name
-    position = force.position_of(name)
-    if position:
-        return f"the {force.velocity_words(position)}"
-    values = force.record.variable(name)
-    for state in model.states:
-        if np.allclose(values, force.record.variable(state)):
-            return state
-    return f"the effort {name}"
+    """A variable with its article, where it has one: the velocity of q."""
+    words = force.variable_words(name)
+    return f"the {words}" if " " in words else words
 
 
 # ---- what to do next -----------------------------------------------------------------

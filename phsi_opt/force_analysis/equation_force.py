@@ -253,11 +253,20 @@ class EquationForce(Force):
         model = self.record.model
         return dict(zip(model.efforts, model.states, strict=True))
 
-    def _named(self, variable: str) -> str:
-        """The variable; the state where an effort is one, in a model without energy."""
-        if self.record.model.has_energy:
-            return variable
-        return self._states_of_efforts.get(variable, variable)
+    def variable_words(self, name: str) -> str:
+        """A variable as it is called in speech: a velocity by its position."""
+        record = self.record
+        if name not in record.model.efforts:
+            return name
+        if self.position_of(name):
+            return self.velocity_words(self.position_of(name))
+        if not record.model.has_energy:
+            return self._states_of_efforts[name]
+        values = record.variable(name)
+        for state in record.model.states:
+            if np.allclose(values, record.variable(state)):
+                return state
+        return f"effort {name}"
 
     def scale_of(self, variable: str) -> Scale:
         """The scale of a variable; a velocity has that of its position by time."""
@@ -265,7 +274,7 @@ class EquationForce(Force):
         position = self.position_of(variable)
         if position:
             return scale_of_rate(position, units, 0.0)
-        return scale_of(units.get(self._named(variable), ""))
+        return scale_of(units.get(self.variable_words(variable), ""))
 
     def told(self, variable: str) -> np.ndarray:
         """Values of a variable, or of a difference, in its `scale_of`."""
@@ -277,14 +286,8 @@ class EquationForce(Force):
         """Label of an axis for a variable, or for a difference, with its unit."""
         if DIFFERENCE in name:
             first, second = name.split(DIFFERENCE)
-            told = DIFFERENCE.join(map(self._named, (first, second)))
+            told = DIFFERENCE.join(map(self.variable_words, (first, second)))
             told = MEMORY.sub(" of the second storage", told)
             return label(told, self.scale_of(first).unit)
-        position = self.position_of(name)
-        if position:
-            unit = self.scale_of(name).unit
-            return label(self.velocity_words(position), unit)
-        name = self._named(name)
-        if name in self.record.model.efforts:
-            return f"effort {name}"
-        return label(name, self.scale_of(name).unit)
+        words = self.variable_words(name)
+        return words if "effort " in words else label(words, self.scale_of(name).unit)

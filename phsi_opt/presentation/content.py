@@ -286,14 +286,12 @@ class Ranked:
     confused_with: tuple[str, ...]  # effects that the data cannot tell from it
     lost: str  # why it is rejected; "" where it is accepted
     odds: str = ""  # how sure it is, in words; "" where it is rejected
-    step: int = 0  # in which it was added; 0: in none
     is_likely: bool = False  # by its evidence, more than a random disturbance
 
     @property
     def result(self) -> str:
-        """Why it is rejected, or that it is accepted; and the step that added it."""
-        added = f", added in step {self.step}" if self.step else ""
-        return f"{self.lost or 'accepted'}{added}"
+        """Why it is rejected, or that it is accepted."""
+        return self.lost or "accepted"
 
     def error_with(self, unit: str) -> str:
         """The error with it, on the data that judge where that is known."""

@@ -1,9 +1,6 @@
-"""Pictures of profiles and estimates.
+"""The picture of all estimates, from a table: how well every parameter is known.
 
-Each function takes arrays or tables, never a result of the package: so every result may
-call it. Each draws on ``ax`` (None: on a new figure), returns the axes, and its title
-says what to see; where the title holds numbers of a result, the result words it.
-Pictures of a missing force stand in `force_analysis`.
+Other pictures are a `Chart`, which page and report draw too.
 """
 
 from textwrap import fill
@@ -12,54 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from scipy.interpolate import PchipInterpolator
 
 from phsi_opt.presentation.charts import (
     ATTENTION,
     BASELINE,
-    FLOOR,
-    MEASURED,
     MODEL,
-    POINTS,
-    Chart,
-    Curve,
-    Panel,
     axes_of,
-    draw,
 )
-
-
-def plot_profile(
-    points: np.ndarray,
-    value: float,
-    curvature: tuple[float, float],
-    threshold: float,
-    level: float,
-    ax: Axes | None = None,
-) -> Axes:
-    """A profile likelihood; the interval is where it stays below the threshold."""
-    ax = axes_of(ax, (6.0, 3.6))
-    held, rise = points.T
-    # The signed root of the rise is nearly straight, so a smooth curve goes through few
-    # points.
-    root = PchipInterpolator(held, np.sign(held - value) * np.sqrt(rise))
-    inside = np.linspace(held[0], held[-1], 200)  # no corner is seen
-    lower, upper = curvature
-    wide = np.linspace(min(held[0], lower), max(held[-1], upper), 200)
-    parabola = threshold * ((wide - value) / ((upper - lower) / 2)) ** 2
-    curves = (
-        Curve("profile", inside, root(inside) ** 2, MODEL),
-        Curve("re-fits", held, rise, MODEL, POINTS),
-        Curve("curvature", wide, parabola, MEASURED, "dash"),
-        Curve(f"{100 * level:.3g} %", wide, 0 * wide + threshold, FLOOR, "dot"),
-    )
-    draw(ax, Chart("", (Panel("rise of -2 log likelihood", curves),)))
-    ax.set_ylim(0, 2 * threshold)
-    return ax
-
-
-# ---- how well every parameter is known -----------------------------------------------
-
 
 # How estimates of a kind are drawn (marker, colour, face), by what is said of them.
 IS_SURE = ""

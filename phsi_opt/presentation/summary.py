@@ -58,34 +58,31 @@ class Summarised:
     ) -> "Iterator[RenderableType]":
         from rich.text import Text
 
-        from phsi_opt.presentation.tables import rich_of_table
-
         summary = self._summary()
-        yield Text(summary.title, style="bold")
-        for part in summary.parts:
-            heading = Text(part.heading and f"\n{part.heading}", style="italic")
-            yield from filter(None, (heading, Text(part.text), Text(part.code)))
-            if part.table is not None:
-                n_rows = len(part.table)
-                yield from rich_of_table(part.table, options.max_width, n_rows)
+        text = Text(text_of_summary(summary, self._between, options.max_width))
+        text.highlight_words([summary.title.partition("\n")[0]], "bold")
+        yield text
 
 
-def text_of_summary(summary: Summary, between: str = "\n\n") -> str:
-    """The summary as text; tables within 80 characters."""
-    blocks = [filled(summary.title)]
+def text_of_summary(
+    summary: Summary, between: str = "\n\n", width: int = LINE_WIDTH
+) -> str:
+    """The summary as text within a width, also its tables."""
+    blocks = [filled(summary.title, width=width)]
     for part in summary.parts:
-        lines = list(filter(None, (part.heading, filled(part.text), part.code)))
+        text = filled(part.text, width=width)
+        lines = list(filter(None, (part.heading, text, part.code)))
         if part.table is not None:
             from phsi_opt.presentation.tables import text_of_table
 
-            lines.append(text_of_table(part.table, most_rows=len(part.table)))
+            lines.append(text_of_table(part.table, width, len(part.table)))
         blocks.append("\n".join(lines))
     return between.join(block for block in blocks if block)
 
 
-def filled(text: str, indent: str = "") -> str:
+def filled(text: str, indent: str = "", width: int = LINE_WIDTH) -> str:
     """Sentences in lines of a terminal; what goes on is indented further."""
-    wrapper = TextWrapper(LINE_WIDTH, indent, f"{indent}  ")
+    wrapper = TextWrapper(width, indent, f"{indent}  ")
     wrapper.break_long_words = wrapper.break_on_hyphens = False
     return "\n".join(map(wrapper.fill, text.splitlines()))
 

@@ -280,9 +280,6 @@ def _all_forces(study: StudyRecord, time: Scale) -> tuple[ForceRun, ...]:
 def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
     """The candidates, best first; errors in the unit in which they are told."""
     diagnosis = study.diagnoses[place]
-    steps: dict[str, int] = {}
-    for step in range(len(study.steps) - 1, place, -1):
-        steps |= dict.fromkeys(map(str, study.steps[step].added), step)
     size, _ = study.error_scale
     classes: dict[str, list[str]] = {}
     for finding in diagnosis.findings:
@@ -305,7 +302,6 @@ def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
             tuple(alike),
             one.lost,
             "" if one.lost else odds_words(one.log_evidence),
-            steps.get(one.name, 0),
             one.was_weighed and one.log_evidence > 0,
         )
         ranked.append(found)
