@@ -150,7 +150,7 @@ def test_data_for_the_end_choose_nothing_and_tell_the_error() -> None:
     base, last = (ph.compare(step.fit, final).rmse for step in study.steps)
     assert base > 1.2 * last
     fall = f"{number(base, 3)} to {number(last, 3)} m"
-    told = f"In the final test (run 5), the error fell from {fall} (noise 0.0"
+    told = f"In the final test (run 5), the error falls from {fall} (noise 0.0"
     content = study.content()
     assert told in content.headline.sentence and told in content.errors
     assert content.subtitle.startswith(

@@ -16,6 +16,7 @@ from phsi_opt.presentation.charts import (
     MODEL,
     axes_of,
 )
+from phsi_opt.presentation.numbers import with_error
 
 # How estimates of a kind are drawn (marker, colour, face), by what is said of them.
 IS_SURE = ""
@@ -74,9 +75,7 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
 
 def _row_label(row: Any) -> str:
     """Name, value and half width with the unit, or why there is no half width."""
-    estimate = f"{row.name} = {row.value:.4g}"
+    told = f"{row.name} = {with_error(row.value, row.half_width, row.unit)}"
     if np.isfinite(row.half_width):
-        error = f"\N{PLUS-MINUS SIGN} {row.half_width:.2g}"
-        return f"{estimate} {error} {row.unit}".rstrip()
-    reason = "at its bound" if row.at_bound else "no standard error"
-    return f"{estimate} {row.unit}".rstrip() + f", {reason}"
+        return told
+    return f"{told}, {'at its bound' if row.at_bound else 'no standard error'}"

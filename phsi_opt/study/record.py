@@ -30,7 +30,13 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_words
-from phsi_opt.presentation.numbers import capitalised, number, number_of, proper_names
+from phsi_opt.presentation.numbers import (
+    capitalised,
+    change_words,
+    number,
+    number_of,
+    proper_names,
+)
 from phsi_opt.presentation.summary import Part, Summary, printed_table
 from phsi_opt.presentation.units import scale_of_errors, spaced
 from phsi_opt.screening.effect_size import Size, fitted_size, with_no_size
@@ -148,17 +154,14 @@ class StudyRecord:
             return ""
         base, last = self.final_comparisons
         size, unit = self.error_scale
-        before, now, noise = (
-            number(size * error, 3)
-            for error in (base.rmse, last.rmse, last.noise_floor)
-        )
-        verb = "fell" if last.rmse < base.rmse else "went"
-        change = f"{verb} from {before} to" if len(self.steps) > 1 else "is"
+        noise = number(size * last.noise_floor, 3)
+        change = f"is {number(size * last.rmse, 3)}{spaced(unit)}"
+        if len(self.steps) > 1:
+            change = change_words(size * base.rmse, size * last.rmse, spaced(unit))
         which = number_of(len(self.final), "run")
         if len(self.final) == 1:
             which = self.final.trajectories[0].title
-        told = f"{change} {now}{spaced(unit)} (noise {noise})"
-        return f"In the final test ({which}), the error {told}."
+        return f"In the final test ({which}), the error {change} (noise {noise})."
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -228,7 +231,7 @@ class StudyRecord:
         finals = dict(zip((0, last), self.final_comparisons, strict=False))
         for k, step in enumerate(self.steps):
             final = size * finals[k].rmse if k in finals else None
-            held_out = None if step.held_out is None else size * step.held_out.rmse
+            held_out = size * step.held_out.rmse if step.held_out else None
             errors = (size * step.train.rmse, held_out, size * step.judged.noise_floor)
             low, high = step.judged.noise_floor_interval
             ends = (size * low, size * high)

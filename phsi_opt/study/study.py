@@ -14,6 +14,7 @@ from phsi_opt.arguments import require_choice, require_count, typed
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.candidate import Grade
 from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import BRIEF, thorough_fit
@@ -37,9 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 REPORT_SUFFIXES = (".html", ".md", ".txt")
-# How clear an effect has to be that `Study.auto` adds.
-DECISIVE = "decisive"
-STRONG = "strong"
 # What an earlier study found of the last step, by the effects to consider; None: none.
 Recall = Callable[[StudyRecord, EffectChoice], Diagnosis | None]
 
@@ -329,7 +327,7 @@ class Study(Summarised):
         effects: Given | None = None,
         without: Given = (),
         *,
-        reach: str = DECISIVE,
+        reach: str = Grade.DECISIVE,
         executor: Executor | None = None,
     ) -> str:
         """Diagnose and add effects as long as one is decisive; return why it stopped.
@@ -358,7 +356,7 @@ class Study(Summarised):
                 another argument has a value that is not allowed.
         """
         require_count("max_steps", max_steps)
-        require_choice("reach", reach, (DECISIVE, STRONG))
+        require_choice("reach", reach, (Grade.DECISIVE, Grade.STRONG))
         further = EffectChoice(effects, without).checked(self.base, self.train.units)
         chosen = self._choice.effects if further.effects is None else further.effects
         choice = EffectChoice(chosen, (*self._choice.without, *further.without))
@@ -367,7 +365,7 @@ class Study(Summarised):
             said = f"{diagnosis.verdict}: {diagnosis.reason}"
             self._say(said)
             proposed = diagnosis.proposed
-            if not proposed and reach == STRONG:
+            if not proposed and reach == Grade.STRONG:
                 proposed = diagnosis.strong
             if not proposed:
                 return self._stop(said)
