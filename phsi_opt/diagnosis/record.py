@@ -140,17 +140,14 @@ class Diagnosis(Summarised):
         the force and its standard deviation (``p`` and ``std_p``), in the unit of the
         state per unit of time.
         """
-        estimate = self.estimate
-        grid = estimate.grid
-        names = self.record.runs
+        record = self.analysis.record
         columns: dict[str, Any] = {
-            "trajectory": [names[number] for number in grid.runs],
-            "t": grid.t[grid.begin] + grid.h / 2,
+            "trajectory": [record.trajectories[number] for number in record.run],
+            "t": record.t,
         }
-        for column, row in enumerate(estimate.rows):
-            name = self.fit.model.states[row]
-            columns[name] = estimate.w[:, column]
-            columns[f"std_{name}"] = estimate.posterior.deviation[:, column]
+        for force in self.analysis.forces:
+            columns[force.equation] = force.w
+            columns[f"std_{force.equation}"] = force.deviation
         return printed_table(columns)
 
     @cached_property
