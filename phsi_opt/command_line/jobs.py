@@ -122,7 +122,7 @@ class _Keeper:
                     raise
                 self.tell(f"no report of this step: {error}")
         found = tuple(map(str, study.added[self.n_known :]))
-        content = plain({"history": study.history, "found": found})
+        content = plain({"history": study.history})
         self.tell(Finished(str(study.history), content, tuple(files), found))
 
 

@@ -59,7 +59,6 @@ SEVERITIES = {
     str(Verdict.UNEXPLAINED): BAD,
     NOT_ASKED: LOOK,
 }
-NOT_ESTABLISHED = "with an effect that is not established"
 POWERS_OF_TEN = (
     *("ten", "a hundred", "a thousand", "ten thousand"),
     *("a hundred thousand", "a million"),
@@ -307,9 +306,8 @@ def headline_of(study: StudyRecord) -> Headline:
     severity = SEVERITIES[status]
     is_established = bool(study.last.added) and not study.unestablished
     is_partly = status == Verdict.UNEXPLAINED and is_established
-    if study.unestablished and not remark:
-        remark = NOT_ESTABLISHED
-        severity = LOOK if severity == GOOD else severity
+    if study.unestablished and severity == GOOD:
+        severity = LOOK
     data = study.last.judged.data
     longest = max(float(np.ptp(run.t)) for run in data)
     facts = {"longest": time_words(longest, data.units.get("t", ""))}

@@ -43,7 +43,6 @@ from phsi_opt.presentation.content import (
 from phsi_opt.presentation.numbers import (
     enumerated,
     label,
-    number,
     number_of,
     proper_names,
     said,
@@ -112,6 +111,8 @@ def study_content(
     units = (scale_of(study.train.units.get(name, "")).unit for name in measured)
     shown, shown_channel = _most_changed(runs)
     described = said_of(study, "subtitle", origin=runs[0].origin, written=written)
+    is_overfitted = only_follows(study.last.train, study.last.judged)
+    errors_told = said_of(study, "how_errors_stand", is_overfitted=is_overfitted)
     headline = headline_of(study)
     return StudyContent(
         title=study.title or f"Study of {', '.join(map(label, measured, units))}",
@@ -119,7 +120,7 @@ def study_content(
         headline=headline,
         steps=errors,
         unit=unit,
-        errors=_errors(study),
+        errors=errors_told.lead,
         models=tuple(models),
         time=time,
         names=tuple(names),
@@ -139,26 +140,6 @@ def study_content(
         unestablished=tuple(one.name for one in study.unestablished),
         hold=study.train.hold,
     )
-
-
-# ---- errors --------------------------------------------------------------------------
-
-
-def _errors(study: StudyRecord) -> str:
-    """Where the errors have got, and what that means."""
-    last = study.last
-    errors = {"": last.judged.rmse}
-    if last.held_out is not None:
-        errors[" (training)"] = last.train.rmse
-    size, _ = study.error_scale
-    judged = last.judged
-    low, _ = judged.noise_floor_interval
-    at_floor = []
-    for which, error in errors.items():
-        if low <= error < judged.noise_floor:
-            at_floor.append(f"{number(size * error, 3)}{which}")
-    follows = only_follows(last.train, last.judged)
-    return said_of(study, "how_errors_stand", follows=follows, at_floor=at_floor).lead
 
 
 # ---- models --------------------------------------------------------------------------
