@@ -539,7 +539,7 @@ def test_names_of_the_data_cannot_inject_anything(content: StudyContent) -> None
         parts = tuple(replace(run, run=HOSTILE) for run in force.runs)
         forces.append(replace(force, equation=HOSTILE, runs=parts))
     text = HOSTILE
-    ranked = Ranked(text, text, 0.1, text, 0.5, 1.0, None, (text,), text)
+    ranked = Ranked(text, text, text, 0.5, 1.0, None, (text,), text)
     told = replace(diagnosed, forces=tuple(forces), ranking=(ranked,))
     hostile = replace(
         content,

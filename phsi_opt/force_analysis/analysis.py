@@ -78,14 +78,15 @@ class ForceAnalysis:
             ModelError: the equation has no missing force.
         """
         if equation is None:
-            return max(self._strongest_first, key=lambda f: f.where["times_noise"])
+            return max(self.strongest_first, key=lambda f: f.where["times_noise"])
         by_equation = {force.equation: force for force in self.forces}
         said = f"equation={equation!r} has no missing force"
         require_known(equation, by_equation, said)
         return by_equation[equation]
 
     @property
-    def _strongest_first(self) -> list[EquationForce]:
+    def strongest_first(self) -> list[EquationForce]:
+        """The forces, by their root mean square."""
         return sorted(self.forces, key=lambda force: -rms(force.w))
 
     @cached_property
@@ -98,7 +99,7 @@ class ForceAnalysis:
         (rms) and its unit; times_noise (strength over the typical standard deviation of
         the estimate: below 1 it is not sure).
         """
-        return printed_table([force.where for force in self._strongest_first])
+        return printed_table([force.where for force in self.strongest_first])
 
     @cached_property
     def follows(self) -> "pd.DataFrame":
@@ -127,7 +128,7 @@ class ForceAnalysis:
     @cached_property
     def sentences(self) -> list[str]:
         """Where the model fails, in plain words, an equation each; strongest first."""
-        return list(map(sentence, self._strongest_first))
+        return list(map(sentence, self.strongest_first))
 
 
 # ---- in words ------------------------------------------------------------------------

@@ -277,7 +277,6 @@ class Ranked:
 
     effect: str  # such as "coulomb friction on p"
     size: str  # with its standard error and unit, and its other parameters
-    std_error: float  # NaN where it is not known
     evidence: str  # for tables, such as "decisive, log evidence 95"
     # Of the squared error above the noise that it explains; None: not known.
     share: Number

@@ -109,7 +109,9 @@ def study_content(
         models.append(_model(heading, study.last.fit))
     measured = study.train.measured
     units = (scale_of(study.train.units.get(name, "")).unit for name in measured)
-    shown, shown_channel = _most_changed(runs)
+    # The run that judges, and its channel, in which the models differ most.
+    judging = [run for run in runs if run.part == runs[0].part]  # the first ones
+    shown, shown_channel = foremost(judging, lambda one: one.change)
     described = said_of(study, "subtitle", origin=runs[0].origin, written=written)
     is_overfitted = only_follows(study.last.train, study.last.judged)
     errors_told = said_of(study, "how_errors_stand", is_overfitted=is_overfitted)
@@ -194,12 +196,6 @@ def _runs(study: StudyRecord, steps: Sequence[Step], time: Scale) -> tuple[Run, 
     return tuple(_run(part, parts[part], k, most, time) for part, k in places)
 
 
-def _most_changed(runs: tuple[Run, ...]) -> tuple[int, int]:
-    """The run that judges, and its channel, in which the models differ most."""
-    judging = [run for run in runs if run.part == runs[0].part]  # the first ones
-    return foremost(judging, lambda one: one.change)
-
-
 def _run(
     part: str, comparisons: list[Comparison], place: int, most: int, time: Scale
 ) -> Run:
@@ -232,8 +228,8 @@ def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
     if place == 0:
         heading = f"Base model ({label})".replace(" (base model)", "")
     nearest = nearest_candidate(diagnosis)
-    found = map(diagnosis.analysis.force_in, diagnosis.where["equation"])
-    sure = [force for force in found if not force.is_uncertain]
+    forces = diagnosis.analysis.strongest_first
+    sure = [force for force in forces if not force.is_uncertain]
     return Diagnosed(
         proper_names(heading),
         asked(answers_of(diagnosis)),
@@ -275,7 +271,6 @@ def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
         found = Ranked(
             one.name,
             "; ".join(filter(None, (words, _beside_size(diagnosis, one)))),
-            one.std_error,
             evidence_words(one),
             _known(np.clip(one.share, 0.0, 1.0)),
             _known(size * one.train_rmse),
@@ -361,7 +356,6 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
             shortest=shortest,
             horizon=horizon,
             scale=scale_of_time(shortest, unit_of_time),
-            is_from_start=horizon < 0.01 * shortest,  # it never was good
             most=HORIZON_RESIDUAL,
             sure_level=SURE_LEVEL,
             severity=severity,
