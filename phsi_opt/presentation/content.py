@@ -398,6 +398,11 @@ def foremost(runs: Sequence[Run], size: Callable[[Channel], float]) -> tuple[int
     return max(sizes, key=sizes.__getitem__)
 
 
+def verdict_words(status: str) -> str:
+    """A verdict as people read it."""
+    return VERDICT_WORDS.get(status, status)
+
+
 def unestablished_words(names: Sequence[str]) -> str:
     """What was added that no diagnosis established; "" for nothing."""
     return f"added, but not established: {', '.join(names)}" if names else ""

@@ -11,7 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from phsi_opt.errors import some_of
-from phsi_opt.presentation.content import VERDICT_WORDS, Answer, unestablished_words
+from phsi_opt.presentation.content import Answer, unestablished_words, verdict_words
 from phsi_opt.presentation.numbers import (
     capitalised,
     enumerated,
@@ -49,7 +49,7 @@ FILTERS = {
     "enumerated": enumerated,
     "lowered": lowered,
     "unestablished": unestablished_words,
-    "verdict": lambda status: VERDICT_WORDS.get(status, status),
+    "verdict": verdict_words,
     "typeset": typeset,
     "said": said,
     "proper": proper_names,

@@ -35,9 +35,9 @@ from phsi_opt.presentation.content import (
     GOOD,
     LOOK,
     NEXT,
-    VERDICT_WORDS,
     Answer,
     Headline,
+    verdict_words,
 )
 from phsi_opt.presentation.numbers import number, said, with_error
 from phsi_opt.presentation.sentences import say
@@ -320,7 +320,7 @@ def headline_of(study: StudyRecord) -> Headline:
         status,
         severity,
         _discovery(study),
-        "partly explained" if is_partly else VERDICT_WORDS.get(status, status),
+        "partly explained" if is_partly else verdict_words(status),
         asked(answers),
         remark=remark,
         caution=" ".join(filter(None, cautions)),

@@ -329,25 +329,24 @@ def _checks(study: StudyRecord) -> tuple[Check, ...]:
 
 def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[Check]:
     """Whether residuals are as small and as random as noise, and for how long."""
-    floor = float(row["noise_floor"])
-    ratio = float(row["rmse"]) / floor if floor > 0 else np.nan
+    ratio = float(row["rmse"]) / float(row["noise_floor"])
     shortest = min(float(run.t[-1] - run.t[0]) for run in judged.data.trajectories)
     horizon = float(row["horizon"]) * scale_of(unit_of_time).size
-    whiteness = float(row["whiteness"])
+    whiteness = float(row["whiteness"])  # NaN: of too few samples
     is_small = ratio <= FAILING_ERROR
     is_far = ratio > WHITE_ERROR
     is_white = whiteness >= SURE_LEVEL
+    is_coloured = whiteness < SURE_LEVEL and not is_small
     holds = horizon > 0.999 * shortest  # but for rounding
-    # The value, whether it is good, and whether it is bad.
-    asked = {
-        "size": (ratio, is_small, is_far),
-        "whiteness": (whiteness, is_white, not is_small),
-        "horizon": (horizon, holds, is_far),
+    # Whether each is good, and whether it is bad.
+    found = {
+        "size": (is_small, is_far),
+        "whiteness": (is_white, is_coloured),
+        "horizon": (holds, is_far),
     }
     checks = []
-    for name, (value, is_good, is_bad) in asked.items():
-        known = bool(np.isfinite(value))
-        severity = GOOD if is_good else BAD if known and is_bad else LOOK
+    for name, (is_good, is_bad) in found.items():
+        severity = GOOD if is_good else BAD if is_bad else LOOK
         told = say(
             __package__,
             f"{name}_check",
@@ -359,7 +358,6 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
             most=HORIZON_RESIDUAL,
             sure_level=SURE_LEVEL,
             severity=severity,
-            known=known,
         )
         subject = f"{row['state']}: {SUBJECTS[name]}"
         checks.append(Check(subject, severity, said(told.lead)))
