@@ -180,7 +180,7 @@ def test_a_short_push_is_placed_in_its_time(cases: dict[str, ForceAnalysis]) -> 
     row = cases["push"].where.iloc[0]
     begin, end = (float(text) for text in row["time_window"].split(" to "))
     assert 4 - 0.1 <= begin < end <= 5 + 0.1  # a tenth of the record, to a sample
-    assert row["trajectory"] in cases["push"].record.trajectories
+    assert row["trajectory"] in cases["push"].record.along.runs
 
 
 def test_a_stiffening_spring_is_strong_at_both_ends_of_the_positions(cases) -> None:

@@ -227,10 +227,8 @@ class Comparison(Summarised):
     def run_errors(self) -> np.ndarray:
         """`rmse` of each trajectory, (n_trajectories,)."""
         is_measured = self._n_values > 0
-        errors = [run[:, is_measured] for run in self.residuals]
-        weights = self.weights[is_measured]
-        means = [np.nanmean((error * weights) ** 2) for error in errors]
-        return np.sqrt(np.nan_to_num(means))
+        scaled = [(run * self.weights)[:, is_measured] for run in self.residuals]
+        return np.sqrt(np.nan_to_num([np.nanmean(run**2) for run in scaled]))
 
     @property
     def error_unit(self) -> str:

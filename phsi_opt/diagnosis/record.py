@@ -11,7 +11,6 @@ from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.data_causes import DataCause
 from phsi_opt.diagnosis.experiments import Separation, separating
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis, step_without_name
 from phsi_opt.model.effect import Effect
@@ -42,7 +41,6 @@ HOW_TO_ADD = (
     "In Python, study.add or study.auto adds it; phsi-opt study --auto on the command "
     "line."
 )
-PROPOSED_EXPERIMENT = "found.separation proposes one"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,11 +81,6 @@ class Diagnosis(Summarised):
     def data(self) -> Measurements:
         """The training record."""
         return self.record.data
-
-    @property
-    def estimate(self) -> ForceEstimate:
-        """States, noise and missing force along the training record."""
-        return self.record.estimate
 
     @property
     def effects(self) -> list[Effect]:
@@ -142,7 +135,7 @@ class Diagnosis(Summarised):
         """
         record = self.analysis.record
         columns: dict[str, Any] = {
-            "trajectory": [record.trajectories[number] for number in record.run],
+            "trajectory": [record.along.runs[number] for number in record.run],
             "t": record.t,
         }
         for force in self.analysis.forces:
@@ -211,7 +204,7 @@ class Diagnosis(Summarised):
         return Answer(
             f"Distinguish {'; '.join(apart)} by an experiment.",
             f"Until then, you may use {firsts} in the model{again}.",
-            how=f"{capitalised(PROPOSED_EXPERIMENT)}. {HOW_TO_ADD}",
+            how=f"found.separation proposes one. {HOW_TO_ADD}",
         )
 
     @property
@@ -241,7 +234,8 @@ class Diagnosis(Summarised):
             first, *others = (fits.get(str(effect)) for effect in finding.effects)
             for other in others:
                 if first is not None and other is not None:
-                    return separating(first, other, self.data, self.estimate.sigma)
+                    sigma = self.record.estimate.sigma
+                    return separating(first, other, self.data, sigma)
         return None
 
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":

@@ -222,7 +222,7 @@ class EquationForce(Force):
     @property
     def strongest_run(self) -> int:
         """Number of the trajectory in which the force is strongest."""
-        return self.record.trajectories.index(self.window.trajectory)
+        return self.record.along.runs.index(self.window.trajectory)
 
     @property
     def position(self) -> str:

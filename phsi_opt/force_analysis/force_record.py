@@ -73,13 +73,9 @@ class ForceRecord:
         """The forces with their prior and the linearised problem."""
         return self.along.estimate
 
-    @property
-    def trajectories(self) -> tuple[str, ...]:
-        return self.along.runs
-
     def origin_of(self, trajectory: str) -> dt.datetime | None:
         """The moment at which the time of a trajectory is 0, where it is a date."""
-        number = self.trajectories.index(trajectory)
+        number = self.along.runs.index(trajectory)
         return self.along.data.trajectories[number].origin
 
     @cached_property

@@ -60,7 +60,7 @@ def strongest_window(force: Force) -> Window:
     half = record.estimate.grid.h / 2
     begin = record.t[inside[0]] - half[inside[0]]
     end = record.t[inside[-1]] + half[inside[-1]]
-    return Window(record.trajectories[run], float(begin), float(end), is_whole)
+    return Window(record.along.runs[run], float(begin), float(end), is_whole)
 
 
 def _rms_in_parts(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:

@@ -59,9 +59,9 @@ def force_runs(force: EquationForce, part: str, time: Scale) -> tuple[ForceRun, 
     """A force along each trajectory of its part of the data."""
     record = force.record
     scale = force.scale
-    most = samples_of_each(len(record.trajectories))
+    most = samples_of_each(len(record.along.runs))
     runs = []
-    for place, name in enumerate(record.trajectories):
+    for place, name in enumerate(record.along.runs):
         inside = np.flatnonzero(record.run == place)
         kept = inside[thinned([force.w[inside]], most)]
         t = record.t[kept] / time.size

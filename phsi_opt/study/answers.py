@@ -63,7 +63,6 @@ POWERS_OF_TEN = (
     *("ten", "a hundred", "a thousand", "ten thousand"),
     *("a hundred thousand", "a million"),
 )
-FAST_DISTURBANCE = "fast disturbance"
 NEAR_FLOOR = 1.1  # times the noise floor: the error of what is fitted to the noise
 
 
@@ -220,7 +219,7 @@ def disturbance_word(diagnosis: Diagnosis) -> str:
     is_open = not (diagnosis.findings or diagnosis.data_cause or force.is_uncertain)
     is_missing = diagnosis.verdict != Verdict.NOTHING_MISSING
     is_fast = is_missing and is_open and force.pace.is_vibration
-    return FAST_DISTURBANCE if is_fast else ""
+    return "fast disturbance" if is_fast else ""
 
 
 def samples_to_average(diagnosis: Diagnosis) -> int:
@@ -270,7 +269,7 @@ def when_answer(diagnosis: Diagnosis) -> Answer:
     if force.is_uncertain:
         return Answer("At no time significantly.")
     record = force.record
-    runs = [np.flatnonzero(record.run == k) for k in range(len(record.trajectories))]
+    runs = [np.flatnonzero(record.run == k) for k in range(len(record.along.runs))]
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
     window = force.window_words(longest=float(record.t.max()))
     return say(
@@ -304,15 +303,16 @@ def headline_of(study: StudyRecord) -> Headline:
         remark = disturbance_word(present)
         answers = answers_of(present)
     severity = SEVERITIES[status]
-    is_established = bool(study.last.added) and not study.unestablished
-    is_partly = status == Verdict.UNEXPLAINED and is_established
+    badge = verdict_words(status)
     if study.unestablished and severity == GOOD:
         severity = LOOK
+    elif study.last.added and status == Verdict.UNEXPLAINED and not study.unestablished:
+        badge = "partly explained"
     data = study.last.judged.data
     longest = max(float(np.ptp(run.t)) for run in data)
-    facts = {"longest": time_words(longest, data.units.get("t", ""))}
+    duration = time_words(longest, data.units.get("t", ""))
     answers["How sure is it"] = _certainty(study)
-    answers["How good is the model"] = said_of(study, "how_good", **facts)
+    answers["How good is the model"] = said_of(study, "how_good", longest=duration)
     fit = study.last.cautioned
     warning = "" if study.last.train.warning else study.last.judged.warning
     cautions = (fit.caution, warning, undetermined_words(fit))
@@ -320,7 +320,7 @@ def headline_of(study: StudyRecord) -> Headline:
         status,
         severity,
         _discovery(study),
-        "partly explained" if is_partly else verdict_words(status),
+        badge,
         asked(answers),
         remark=remark,
         caution=" ".join(filter(None, cautions)),
@@ -389,13 +389,7 @@ def _discovery(study: StudyRecord) -> Answer:
             unsure.append(called(name, *beside, open_[str(effect)]))
         else:
             sure.append(called(name, *beside))
-    return said_of(
-        study,
-        "discovery",
-        lacking=lacking,
-        sure=sure,
-        unsure=unsure,
-    )
+    return said_of(study, "discovery", lacking=lacking, sure=sure, unsure=unsure)
 
 
 def _beside(study: StudyRecord, effect: Effect) -> tuple[str, str]:
