@@ -292,7 +292,7 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     answers = {one.question: one.told for one in headline.answers}
     assert answers["Where"].startswith("In the force on q (dp/dt)")
     assert re.match(
-        r"In free runs of up to 5 s it follows q to 0\.\d+ m, [\d.]+ % of its standard deviation\. "
+        r"In free runs of up to 5 s it follows q to 0\.\d+ m, [\d.]+ times the noise\. "
         r"On data not used for fitting, each run from a state that was estimated from "
         r"all of it; the noise is [\d.]+ m\. In the worst of its 2 runs "
         r"\(run \d\), 0\.\d+ m\.",
