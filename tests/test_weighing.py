@@ -328,3 +328,34 @@ def test_a_grade_is_that_of_all_data_and_of_what_was_weighed_alone() -> None:
     assert replace(one, log_predictive=-4.0).grade == Grade.NONE
     assert replace(one, log_bayes=np.nan).grade == Grade.NONE
     assert replace(one, was_weighed=False).grade == Grade.NONE
+
+
+# --- what screening expects
+
+
+def test_screening_expects_no_gain_of_a_sensor_from_what_forces_can_do() -> None:
+    """The volume of states and forces depends on it: without its slope it promises."""
+    rng = np.random.default_rng(7)
+    runs = []
+    for start in STARTS:
+        push = np.cumsum(0.2 * rng.normal(size=len(T)))
+        push -= np.linspace(push[0], push[-1], len(T))
+
+        def force(t: float, x: np.ndarray, push: np.ndarray = push) -> np.ndarray:
+            return np.array([0.0, np.interp(t, T, push)])
+
+        x = ph.simulate(spring(), T, start, force=force)
+        x[:, 0] += NOISE * rng.normal(size=len(T))
+        x[:, 1] = np.nan
+        runs.append(x)
+    data = ph.Measurements.from_arrays([T] * 3, runs, states=["q", "p"])
+    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), data)
+    record = EvidenceRecord.of(ph.compare(fit, data).record, None)
+    gain = effect_named(record.base.model, "sensor gain", "q")
+    linearized = LinearizedRecord.beside_force(record)
+    found = ScoreTest(linearized).screened(gain)
+    without = ScoreTest(replace(linearized, record=None)).screened(gain)
+    assert found is not None and without is not None
+    assert found.gain < 0 and without.gain > 10
+    evidence = record.weighed(found.model, found.values).log_evidence
+    assert evidence < record.base.log_evidence

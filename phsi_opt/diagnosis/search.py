@@ -1,16 +1,17 @@
 """A search over models: sets of effects, compared by their evidence beside a force.
 
-A beam of the likeliest models goes on from round to round: each is enlarged by the
-effects that screening expects to gain beside its force, and each that is new gives back
-one of its earlier effects, as the first may have stood in for what was found later.
+A beam of the likeliest models goes on from round to round. Screening beside the force
+of each tells what every further effect promises, and models are weighed in that order
+until none promises to come near the likeliest. A new likeliest model gives back each of
+its effects by turns, as the first may have stood in for what was found later.
 Where the likeliest model is as likely without a force nothing is left to be found, and
 only exchanges of one effect go on. A search ends where it finds no likelier model.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial, reduce
+from functools import reduce
 
 import numpy as np
 
@@ -25,11 +26,10 @@ from phsi_opt.presentation.numbers import enumerated
 from phsi_opt.screening.effect_size import new_names
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import Screened
-from phsi_opt.screening.weighing import Weighed
-from phsi_opt.sweeps.sweep import ahead
+from phsi_opt.screening.weighing import EvidenceRecord, Weighed
+from phsi_opt.sweeps.sweep import Progress, ahead
 
 BEAM_WIDTH = 3  # models that go on from a round
-MOST_FURTHER = 4  # effects by which each of them is enlarged
 MOST_EFFECTS = 4  # of one model
 
 
@@ -61,6 +61,25 @@ class Combination:
         return self.weighed.model.values
 
 
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A model that was weighed, with one effect more."""
+
+    effects: tuple[Effect, ...]  # of the larger model, the new one last
+    prices: Mapping[str, float]
+    record: EvidenceRecord  # beside which the new one was screened
+    further: Screened
+    promise: float  # expected log evidence, as that of `Combination`
+
+    @property
+    def key(self) -> frozenset[str]:
+        return frozenset(map(str, self.effects))
+
+
+def _weighed(step: _Step, say: Progress) -> Weighed:
+    return weighed_of(step.record, step.further, say)
+
+
 class Search:
     """The models that were weighed, beginning with those of a ranking."""
 
@@ -78,8 +97,8 @@ class Search:
                 self._take((one.effect,), {one.name: price}, weighed)
 
     def run(self) -> None:
-        """Enlarge the likeliest models, as long as that finds likelier ones."""
-        seen: set[frozenset[str]] = set()
+        """Enlarge the likeliest models, as long as that finds a likelier one."""
+        enlarged: set[frozenset[str]] = set()
         last = None
         while self.known:
             models: list[Combination | None] = [*self.in_order()]
@@ -90,11 +109,17 @@ class Search:
                 # No further effect can gain; another in place of one of them may.
                 models = [self._without(best, str(effect)) for effect in best.effects]
             last = best
-            open_ones = [one for one in models if one and one.key not in seen]
-            for one in open_ones[:BEAM_WIDTH]:
-                seen.add(one.key)
-                if len(one.effects) < MOST_EFFECTS:
-                    self._enlarge(one)
+            beam = []
+            for one in filter(None, models):
+                if one.key not in enlarged and len(one.effects) < MOST_EFFECTS:
+                    beam.append(one)
+            enlarged.update(one.key for one in beam[:BEAM_WIDTH])
+            self._enlarge(beam[:BEAM_WIDTH])
+            found = self.in_order()[0]
+            if found is not best:
+                # What was found first may have stood in for what came after.
+                for name in map(str, found.effects):
+                    self._without(found, name)
 
     def _is_complete(self, one: Combination) -> bool:
         """Whether a model is as likely without any force."""
@@ -130,32 +155,41 @@ class Search:
                 found += [effect for effect in other.effects if str(effect) in others]
         return found
 
-    def _enlarge(self, one: Combination) -> None:
-        record = replace(self.ranking.record, base=one.weighed)
-        self.base.say(f"screening further effects beside {one.name}")
-        others = [effect for effect in self.effects if str(effect) not in one.key]
-        screened = screened_beside(LinearizedRecord.beside_force(record), others)
-        gaining = [further for further in screened if further.gain > 0][:MOST_FURTHER]
-        cases = {}
-        for further in gaining:
-            name = str(further.effect)
-            if one.key | {name} not in self.known:
-                cases[name] = further
-        weigh = partial(weighed_of, record)
-        with closing(ahead(weigh, cases, self.base.executor, self.base.say)) as results:
-            for further in cases.values():
-                with suppress(SolveError):
-                    self._note_larger(one, further, next(results)())
+    def _enlarge(self, models: Sequence[Combination]) -> None:
+        """Weigh models with one effect more, those first of which most is expected.
 
-    def _note_larger(
-        self, one: Combination, further: Screened, weighed: Weighed
-    ) -> None:
-        effect = further.effect
-        prices = {**one.prices, str(effect): self.ranking.price(further)}
-        larger = self._take((*one.effects, effect), prices, weighed)
-        if larger is not None and larger.log_evidence > one.log_evidence:
-            for name in map(str, one.effects):
-                self._without(larger, name)
+        Until none is expected to come near the likeliest one that was found.
+        """
+        steps = [step for one in models for step in self._steps(one)]
+        steps.sort(key=lambda step: -step.promise)
+        cases: dict[str, _Step] = {}
+        for step in steps:
+            if step.key not in self.known:
+                cases.setdefault(str(sorted(step.key)), step)
+        say = self.base.say
+        with closing(ahead(_weighed, cases, self.base.executor, say)) as results:
+            for step in cases.values():
+                if step.promise < self.in_order()[0].log_evidence - STRONG_EVIDENCE:
+                    return
+                with suppress(SolveError):
+                    self._take(step.effects, step.prices, next(results)())
+
+    def _steps(self, one: Combination) -> Iterator["_Step"]:
+        """A model with every effect that screening expects to gain beside it."""
+        self.base.say(f"screening further effects beside {one.name}")
+        record = replace(self.ranking.record, base=one.weighed)
+        others = [effect for effect in self.effects if str(effect) not in one.key]
+        for further in screened_beside(LinearizedRecord.beside_force(record), others):
+            price = self.ranking.price(further)
+            # What is expected is less the values that were tried already.
+            paid = price - float(np.log(further.n_tried))
+            yield _Step(
+                (*one.effects, further.effect),
+                {**one.prices, str(further.effect): price},
+                record,
+                further,
+                one.log_evidence + further.gain - paid,
+            )
 
     def _without(self, larger: Combination, name: str) -> Combination | None:
         """A model less one effect, begun where it is; None: it was not found."""

@@ -104,6 +104,12 @@ def is_wave(effect: Effect) -> bool:
     return any(isinstance(one, Scan) for one in _guesses(effect.term))
 
 
+def moves_with_states(effect: Effect, states: Iterable[str]) -> bool:
+    """Whether what it does depends on the states of a model, or on their efforts."""
+    own = {f"{prefix}{state}" for prefix in ("", "dH_d") for state in states}
+    return effect.slot in "HR" or bool(effect.names & own)
+
+
 def is_delay(effect: Effect) -> bool:
     """Whether the effect has a time that is sought among multiples of the sampling."""
     if any(delays_in(term.body) for term in effect.terms):

@@ -36,6 +36,14 @@ from phsi_opt.transcription.sensors import outputs
 
 
 @dataclass(frozen=True, eq=False)
+class Change:
+    """What k coefficients of one do."""
+
+    of_defects: np.ndarray  # D, (n_intervals * n_states, k), in units of rates
+    of_outputs: np.ndarray  # Y, (n_nodes * n_states, k), in the units of the states
+
+
+@dataclass(frozen=True, eq=False)
 class LinearizedRecord:
     """A record, linearised (see the module's text)."""
 
@@ -45,6 +53,8 @@ class LinearizedRecord:
     states: np.ndarray  # (n_nodes, n_states) where it was linearised
     likelihood: MarginalLikelihood  # of the record there
     disturbances: Disturbances  # noise and forces, with their sizes
+    # By which larger models are weighed; None: dynamics are hard, and have no volume.
+    record: EvidenceRecord | None = None
 
     @classmethod
     def without_force(cls, record: Record) -> "LinearizedRecord":
@@ -74,6 +84,7 @@ class LinearizedRecord:
             states=base.states,
             likelihood=record.likelihood(base),
             disturbances=base.disturbances,
+            record=record,
         )
 
     @cached_property
@@ -175,6 +186,35 @@ class LinearizedRecord:
         """
         multipliers = self._system.optimum[self.likelihood.n_unknowns :]
         return np.asarray(self._per_rate * multipliers)
+
+    def volume_slopes(
+        self, model: Model, values: dict[str, float], names: list[str], change: Change
+    ) -> np.ndarray:
+        """Slopes of -1/2 log|det K| in an effect's coefficients, (n_names,).
+
+        Args:
+            model: the base with the effect, at its parameters' ``values``.
+            names: of the coefficients.
+            change: what they do; the base's parameters follow.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        if self.record is None:
+            return np.zeros(len(names))
+        k = len(names)
+        _, _, of_base = self._answered(
+            change.of_defects[:, :k], change.of_outputs[:, :k]
+        )
+        scale = self.likelihood.problem.theta_scale
+        own = self.record.volume_slopes(model, values, names)
+        return own + (self._volume_slopes * scale) @ of_base
+
+    @cached_property
+    def _volume_slopes(self) -> np.ndarray:
+        """Those in the base's parameters, (n_theta,)."""
+        assert self.record is not None
+        return self.record.volume_slopes(self.model, {}, self.unknown.names)
 
     def parameters_with(
         self,

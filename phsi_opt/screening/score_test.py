@@ -2,7 +2,8 @@
 
 This is Rao's score test (1948) in the presence of a force that could have done the
 same: one small regression of the linearised record's residuals and forces on what the
-effect leaves in them gives its coefficients, and the gain of the log evidence. Inner
+effect leaves in them gives its coefficients, and the gain of the log evidence, with the
+slope of -1/2 log|det K|, the volume of states and forces, as weighing has it. Inner
 parameters (a frequency, a width) are scanned, each value a trace more.
 
 A right-hand side per frequency would be too many. The correlation of a wave's trace
@@ -12,12 +13,13 @@ worked out exactly, and from each the way leads uphill: near a resonance the
 interpolated size can be twenty times wrong.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
 
-from phsi_opt.errors import PhsiOptError
+from phsi_opt.errors import PhsiOptError, SolveError
 from phsi_opt.initialization.relative_guesses import (
     largest,
     open_delays,
@@ -26,11 +28,11 @@ from phsi_opt.initialization.relative_guesses import (
     values_at,
 )
 from phsi_opt.initialization.starting_values import frequency_grid
-from phsi_opt.model.effect import Effect
+from phsi_opt.model.effect import Effect, moves_with_states
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter, Scan, Tried
-from phsi_opt.screening.linearized_record import LinearizedRecord
-from phsi_opt.screening.sensitivities import Change, Regression, Sensitivities, Trial
+from phsi_opt.screening.linearized_record import Change, LinearizedRecord
+from phsi_opt.screening.sensitivities import Regression, Sensitivities, Trial
 from phsi_opt.statistics import TINY, local_maxima
 
 BEYOND_ALL = 1e6  # times the range of a channel, of a size that nothing determines
@@ -119,7 +121,25 @@ class ScoreTest:
             best = _refined(part, best)
         if part is not whole:
             best = _best(whole, [best.values])
-        return self._expected(trial, best, n_tried)
+        return self._expected(trial, self._with_volume(whole, best), n_tried)
+
+    def _with_volume(self, whole: Sensitivities, best: _Point) -> _Point:
+        """With the slope of the volume of states and forces in the coefficients.
+
+        Without it a gain of a sensor, say, seems to explain whatever forces can do.
+        """
+        trial, change = whole.trial, best.change
+        states = self.linearized.model.states
+        if not trial.linear or not moves_with_states(trial.effect, states):
+            return best
+        slopes = np.zeros(change.of_defects.shape[1])  # none of friction at rest
+        values = dict.fromkeys(trial.linear, 0.0) | best.values
+        with suppress(SolveError):
+            slopes[: len(trial.linear)] = self.linearized.volume_slopes(
+                trial.model, values, trial.linear, change
+            )
+        trace = whole.traces([change])
+        return replace(best, regression=whole.regression(trace, slopes))
 
     def trial(self, effect: Effect) -> Trial:
         """The effect in the model, with what is to be tried."""

@@ -15,7 +15,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.optimization.bounded_step import bounded_least_squares
-from phsi_opt.screening.linearized_record import LinearizedRecord
+from phsi_opt.screening.linearized_record import Change, LinearizedRecord
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.augmented_states import MemoryIntegration
 from phsi_opt.transcription.defects import parameter_slopes
@@ -39,14 +39,6 @@ class Trial:
     frequency: str | None
     # What its wave runs along, where its value is sought; else None.
     scanned: str | None
-
-
-@dataclass(frozen=True, eq=False)
-class Change:
-    """What k coefficients of one do."""
-
-    of_defects: np.ndarray  # D, (n_intervals * n_states, k)
-    of_outputs: np.ndarray  # Y, (n_nodes * n_states, k), in the units of the states
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,11 +94,16 @@ class Sensitivities:
             np.hstack([change.of_outputs for change in changes]),
         )
 
-    def regression(self, trace: np.ndarray) -> Regression:
-        """Regress the record's residual on a trace (n_values, k) within bounds."""
+    def regression(
+        self, trace: np.ndarray, slope: np.ndarray | float = 0.0
+    ) -> Regression:
+        """Regress the record's residual on a trace (n_values, k) within bounds.
+
+        Beside the misfit the log likelihood may have a ``slope`` (k,).
+        """
         trial = self.trial
         information = trace.T @ trace
-        right = trace.T @ self.linearized.residual
+        right = trace.T @ self.linearized.residual + slope
         if not trial.linear:
             drop = float(2 * right[0] - information[0, 0])
             return Regression(np.ones(1), drop, information)

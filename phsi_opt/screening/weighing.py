@@ -448,6 +448,12 @@ class EvidenceRecord:
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
+        return self.weighing.weighed(
+            self._start(model, values), self.base.log_likelihood
+        )
+
+    def _start(self, model: Model, values: Mapping[str, float]) -> Start:
+        """A larger model with values of what is new, where the base is likeliest."""
         base = self.base
         unknown = Theta.of(model, self.weighing.runs)
         known = dict(values) | dict(zip(base.names, base.theta.tolist(), strict=True))
@@ -455,15 +461,28 @@ class EvidenceRecord:
         theta = unknown.from_values(known, default)
         theta = np.clip(theta, unknown.lower, unknown.upper)
         grid = self.weighing.aligned.for_model(model).grid
-        states = with_memory(model, grid, base.states, theta[unknown.table])
-        start = Start(
+        return Start(
             model=model,
             theta=theta,
-            states=states,
+            states=with_memory(model, grid, base.states, theta[unknown.table]),
             processes=base.processes,
             disturbances=base.disturbances,
         )
-        return self.weighing.weighed(start, base.log_likelihood)
+
+    def volume_slopes(
+        self, model: Model, values: Mapping[str, float], names: Sequence[str]
+    ) -> np.ndarray:
+        """Slopes of -1/2 log|det K| in some parameters of a larger model, (n_names,).
+
+        K is the optimality system of states and forces (`JointProblem.tilted`).
+        """
+        problem = self.weighing.problem(self._start(model, values))
+        unknown = problem.values.unknown
+        places = np.array(list(map(unknown.names.index, names)), dtype=int)
+        problem = replace(problem, moving=places)
+        found = problem.optimum(problem.values.point.scaled, 0)
+        slopes = problem.tilted(found).slope / problem.values.point.theta_scale
+        return np.asarray(slopes[places])
 
     def held_as(self, hold: Hold) -> "EvidenceRecord":
         """With inputs that do otherwise between their samples.
