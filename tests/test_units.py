@@ -360,7 +360,7 @@ def test_a_study_in_mm_and_ms_finds_the_stiffness_and_tells_mm_and_ms(tmp_path) 
     again = ph.StudyFile.read(file.write(tmp_path / "again.toml"))
     assert again.base == file.base
     assert 'k = { start = 0.05, unit = "N/mm" }' in file.text()
-    seen = {"__file__": str(tmp_path / "study.py")}
+    seen: dict[str, Any] = {"__file__": str(tmp_path / "study.py")}
     exec(file.script().partition("study = study_file")[0], seen)
     assert seen["data"].digest == file.measurements().digest
 
