@@ -3,8 +3,7 @@
 Nothing that a file says is executed: the libraries that could are absent. Of an MDF
 file only raw values are read. It states how these become physical ones; asammdf applies
 all of that, and executes formulas. Here each kind that is a number is a function of its
-block in the file and of the raw values x: that of asammdf, except for ranges, whose
-ends it mistakes where raw values are whole numbers. Kinds are those of the ASAM
+block in the file and of the raw values x. Kinds and parameters are those of the ASAM
 standard; "old" files are those of version 3.
 """
 
@@ -217,17 +216,33 @@ def _is_conversion(block: Any) -> bool:
     return hasattr(block, "conversion_type")
 
 
-def _converted(block: Any, x: np.ndarray) -> np.ndarray:
-    """By asammdf itself, which executes no formula of the file for these kinds."""
-    return np.asarray(block.convert(x.astype(float)))
+def _same(block: Any, x: np.ndarray) -> np.ndarray:
+    return x
 
 
-def _table(block: Any, x: np.ndarray) -> np.ndarray:
+def _linear(block: Any, x: np.ndarray) -> np.ndarray:
+    return np.asarray(block.a * x + block.b)
+
+
+def _rational(block: Any, x: np.ndarray) -> np.ndarray:
+    above = [block.P1, block.P2, block.P3]
+    below = [block.P4, block.P5, block.P6]
+    if above[-1] == below[-1] == 0:  # a common factor x
+        above.pop()
+        below.pop()
+    with np.errstate(all="ignore"):  # what is not finite is refused by its row
+        return np.polyval(above, x.astype(float)) / np.polyval(below, x)
+
+
+def _table(block: Any, x: np.ndarray, is_interpolated: bool) -> np.ndarray:
     n = getattr(block, "val_param_nr", 0) // 2 or block.ref_param_nr
-    raw = [block[f"raw_{i}"] for i in range(n)]
-    if np.any(np.diff(raw) <= 0):
+    raw = np.array([block[f"raw_{i}"] for i in range(n)])
+    values = np.array([block[f"phys_{i}"] for i in range(n)])
+    if (np.diff(raw) <= 0).any():
         raise OSError("it has a table of a conversion whose raw values do not increase")
-    return _converted(block, x)
+    if is_interpolated:
+        return np.interp(x, raw, values)
+    return values[np.searchsorted((raw[1:] + raw[:-1]) / 2, x)]  # of the nearest
 
 
 def _of_ranges(block: Any, x: np.ndarray) -> np.ndarray:
@@ -256,8 +271,11 @@ def _within(block: Any, i: object, x: np.ndarray) -> np.ndarray:
     return (block[f"lower_{i}"] <= x) & (x < high if x.dtype.kind == "f" else x <= high)
 
 
-KINDS: dict[bool, dict[int, Callable[[Any, np.ndarray], np.ndarray]]] = {
-    True: {65535: _converted, 0: _converted, 1: _table, 2: _table, 9: _converted},
-    False: {0: _converted, 1: _converted, 2: _converted, 4: _table, 5: _table}
+Kind = Callable[[Any, np.ndarray], np.ndarray]
+INTERPOLATED: Kind = partial(_table, is_interpolated=True)
+NEAREST: Kind = partial(_table, is_interpolated=False)
+KINDS: dict[bool, dict[int, Kind]] = {
+    True: {65535: _same, 0: _linear, 1: INTERPOLATED, 2: NEAREST, 9: _rational},
+    False: {0: _same, 1: _linear, 2: _rational, 4: INTERPOLATED, 5: NEAREST}
     | {6: _of_ranges, 7: _beside_texts, 8: _beside_texts},
 }

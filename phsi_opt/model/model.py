@@ -15,7 +15,7 @@ import numpy as np
 
 from phsi_opt.arguments import typed
 from phsi_opt.errors import ModelError
-from phsi_opt.model.base import BaseModel
+from phsi_opt.model.base import BaseModel, checked_structure
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import evaluate
@@ -49,12 +49,12 @@ class Model(BaseModel, Summarised):
     @typed
     def __init__(
         self,
+        *,
         states: Sequence[str],
-        F: TermsByState | None = None,
         inputs: Sequence[str] = (),
         R: TermsByState | None = None,
+        F: TermsByState | None = None,
         sensor: TermsByState | None = None,
-        *,
         S: Any = None,
         H: Terms | None = None,
         memory: Sequence[str] = (),
@@ -227,10 +227,24 @@ class FirstOrder(Model):
 
     has_energy: ClassVar[bool] = False
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.H.terms or np.any(self.S):
+    @typed
+    def __init__(
+        self,
+        states: Sequence[str],
+        F: TermsByState,
+        inputs: Sequence[str] = (),
+        R: TermsByState | None = None,
+        sensor: TermsByState | None = None,
+        *,
+        memory: Sequence[str] = (),
+        kind: str | Mapping[str, str] | None = None,
+        S: Any = None,
+        H: Terms | None = None,
+    ) -> None:
+        if H or np.any(checked_structure(S, len(states))):
             raise ModelError(
                 "a FirstOrder model has no S and no H; "
                 "use PseudoHamiltonian, or put the terms into F."
             )
+        others: dict[str, Any] = {"R": R, "sensor": sensor, "kind": kind}
+        super().__init__(states=states, F=F, inputs=inputs, memory=memory, **others)
