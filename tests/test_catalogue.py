@@ -50,7 +50,7 @@ FAMILIES = {
     "a constant force": "constant force",
     "a force that changes with the time": "drifting force, harmonic force",
     "a stiffness that changes with the time": "parametric stiffness",
-    "an error in the size of the input's force": "input gain, quadratic input, "
+    "an error in the size of the input's force": "input gain, quadratic input, odd quadratic input, "
     "input dead zone, input saturation",
     "a delay of the input": "input lag, input delay",
 }

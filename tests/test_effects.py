@@ -78,6 +78,7 @@ CASES = [
     ("parametric stiffness", "p", {"F_p[-q*cos(omega*t)]": 0.3, "F_p.omega": 2.0}, -0.3 * Q * np.cos(2 * T), 0),
     ("input gain", "p", {"input_gain_u_p": -0.2}, -0.2 * 5 * U[0], 0),
     ("quadratic input", "p", {"quadratic_input_u_p": 0.3}, 0.3 * U[0] ** 2, 0),
+    ("odd quadratic input", "p", {"odd_quadratic_input_u_p": -0.3}, -0.3 * abs(U[0]) * U[0], 0),
     ("input dead zone", "p", {"dead_zone_u_p": 0.25}, -5 * 0.25, 0),
     ("input saturation", "p", {"saturation_u_p": 0.25}, -5 * (U[0] - 0.25), 0),
     ("input lag", "p", {"lag_u_p": 0.1, "u_lagged_p": 0.5}, 5 * (0.5 - U[0]), 0),

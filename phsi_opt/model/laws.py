@@ -177,6 +177,7 @@ constant | c | bias, offset, load, tilt, gravity, disturbance, supply
 drifting | c t | drift, trend, ramp
 harmonic | a sin({omega} t) + b cos({omega} t) | unbalance, vibration, ripple, hum
 quadratic input | c {u}^2 | nonlinear actuator
+odd quadratic input | c |{u}| {u} | nonlinear actuator
 input gain | c {dF}{u} | actuator gain, calibration, scale error
 input dead zone | -{dF}min(max({u}, -width), width) | dead band, threshold
 input saturation | -{dF}({u} - min(max({u}, -limit), limit)) | saturation
@@ -436,6 +437,7 @@ INPUTS = _laws(
     "F",
     """
 quadratic input{of_u} | | {u}**2 | {input_size} | quadratic_input_{u}_{x}
+odd quadratic input{of_u} | | abs({u})*{u} | {input_size} | odd_quadratic_input_{u}_{x}
 input gain{of_u} | | {new} | {input_size} | input_gain_{u}_{x}
 input gain{of_u} | | {slope}*{u} | {input_size} | input_gain_{u}_{x}
 input dead zone{of_u} | | -{slope}*DEAD | {input_size} | formula
