@@ -311,7 +311,8 @@ def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
     draft.settings = {one.key: one.content for one in seen[0].read if one.is_set}
     for column in seen[0].columns:
         examples = tuple(column.cells[:3])
-        known = (column.content, examples, column.is_numeric, column.may_be_input)
+        told = without(column.content, "")
+        known = (told, examples, column.is_numeric, column.may_be_input)
         draft.columns.append(ColumnDraft(column.source, column.part, *known))
     return draft
 
@@ -413,8 +414,7 @@ class ModelDraft:
         return list(dict.fromkeys(listed(self.table.get(what, ()))))
 
     def content(self) -> Content:
-        empty: Content = {"states": [], "pairs": [], "H": ""}
-        content = {**empty, "type": self.type, **self.table}
+        content: Content = {"pairs": [], "type": self.type, **self.table}
         if self.type == FIRST_ORDER:
             content = _without(content, "pairs", "H")
         if "S" in content:

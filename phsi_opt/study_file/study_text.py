@@ -9,7 +9,7 @@ itself.
 import json
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -282,13 +282,14 @@ def study_script(study: Sections) -> str:
     else:
         parts.setdefault("F", {})
     shared = shared_parameters(study.base, study.own_effects)
-    settings = {one.name: getattr(study, one.name) for one in fields(Sections)}
-    settings |= {"base": Code("model"), "data": replace(study.data, places={})}
+    settings = told(study) | {"base": Code("model"), "folder": Code("FOLDER")}
+    settings["data"] = replace(study.data, places={})
+    settings.pop("unwritten", None)  # its table is among the files
     body = text_template("study_script.py.jinja").render(
         parameters={name: _short(one) for name, one in shared.items()},
         kind=type(study.base).__name__,
         parts=parts,
-        settings=told(Sections(**settings)) | {"folder": Code("FOLDER")},
+        settings=settings,
         call=source.call,
     )
     return "\n".join([SCRIPT_BEGIN, *sorted(source.imports), "", body])
