@@ -552,7 +552,7 @@ def test_slopes_in_coordinates_are_sums_of_those_that_move_together(
     information = to_coordinates @ single.information @ to_coordinates.T
     np.testing.assert_allclose(summed.gradient, to_coordinates @ single.gradient)
     np.testing.assert_allclose(summed.information, information, atol=1e-8)
-    units = np.eye(len(coordinates.bounds))
+    units = np.eye(coordinates.bounds.shape[1])
     for unit, row in zip(units, to_coordinates, strict=True):
         expected = moved(d, 0.1 * row, (0, 1))
         found = coordinates.at(0.1 * unit)
@@ -581,7 +581,7 @@ def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     white = cases(problem)["white"]
     constant = MarginalLikelihood(problem, white, moving).at(white).log_evidence
     constant -= dense.log_evidence(white, moving)
-    lower, upper = np.array(coordinates.bounds).T
+    lower, upper = coordinates.bounds
 
     def negative(vector: np.ndarray) -> float:
         there = coordinates.at(np.clip(vector, lower, upper))

@@ -105,7 +105,7 @@ def iteration(
     grid: Grid, *is_estimated: bool, has_l1: bool = False, huber: float | None = None
 ) -> NoiseIteration:
     estimated = np.array(is_estimated or (True, True))
-    return NoiseIteration(grid, estimated, N_THETA, huber, has_l1)
+    return NoiseIteration(grid, estimated, N_THETA, huber, has_l1, np.zeros(2))
 
 
 def residuals(grid: Grid, *factors: float) -> np.ndarray:

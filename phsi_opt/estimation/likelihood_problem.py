@@ -182,12 +182,13 @@ class LikelihoodProblem:
             is_estimated=~self.noise.is_known,
             n_theta=len(values.unknown),
             huber=self.loss.huber,
-            has_l1=any(l1.values()),
+            has_l1=bool(np.any(values.unknown.weights(l1) > 0)),
             least=self.noise.least,
         )
         settings = self.task.settings
         optimum = None
-        if settings.solver == "auto" and not self.loss.has_slacks(values.unknown, l1):
+        has_slacks = noise.has_l1 or noise.huber is not None
+        if settings.solver == "auto" and not has_slacks:
             if most_steps is not None:
                 most = min(most_steps, settings.max_iterations)
                 settings = replace(settings, max_iterations=most)

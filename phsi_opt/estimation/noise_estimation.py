@@ -86,10 +86,8 @@ class NoiseIteration:
     is_estimated: np.ndarray  # (n_states,) whether a state's noise is unknown
     n_theta: int  # number of free parameters
     huber: float | None  # limit of the loss, or None
-    has_l1: bool  # whether the loss has an L1 term
-    # Noise, of all states or (n_states,), below which none is estimated: that of
-    # quantisation.
-    least: np.ndarray | float = 0.0
+    has_l1: bool  # whether the program has an L1 term
+    least: np.ndarray  # (n_states,) below which none is estimated: that of quantisation
 
     def updated(self, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """The noise that ``residual`` shows, which the program has with ``sigma``.

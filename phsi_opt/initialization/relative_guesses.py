@@ -14,6 +14,7 @@ import numpy as np
 
 from phsi_opt.data.checks import LARGEST_VALUE
 from phsi_opt.errors import ModelError
+from phsi_opt.initialization.scaling import rates_and_slopes, some_nodes
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share, Tried
@@ -234,13 +235,10 @@ def fast_motion(model: Model, grid: Grid, units: Mapping[str, str]) -> str:
     known = np.nan_to_num(grid.y)
     resolved = resolve_guesses(model, grid, known)
     is_motion = [name not in model.memory for name in model.states]
-    some = slice(None, None, 1 + grid.n_nodes // 25)  # enough for a median
-    u = grid.driven(resolved, resolved.theta).u[some].T
-    at = (known[some].T, u, grid.t[None, some])
+    some = some_nodes(grid, known)  # enough for a median
 
     def frequency(theta: np.ndarray) -> float:
-        slopes = in_numbers(resolved.rhs_slopes("x"), *at, theta)[1].T
-        slopes = slopes.reshape(-1, model.n_states, model.n_states)
+        slopes = rates_and_slopes(resolved, *some, theta)[1]
         finite = np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
         rates = np.linalg.eigvals(finite[:, is_motion][:, :, is_motion]).imag
         return float(np.median(np.abs(rates).max(axis=1))) / (2 * np.pi)

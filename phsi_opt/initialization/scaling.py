@@ -118,7 +118,7 @@ def theta_scale(
     per_equation = np.sqrt(mean_square) / rate[:, None]
     strength = np.nan_to_num(per_equation.max(axis=0))
     if model.sensor:
-        slopes = output_slopes(model, *_some_nodes(grid, x), theta).in_parameters
+        slopes = output_slopes(model, *some_nodes(grid, x), theta).in_parameters
         squares = np.square(slopes)
         in_sensors = np.sqrt(np.mean(squares, axis=0)).T @ (1 / x_scale)
         strength = np.maximum(strength, in_sensors)
@@ -172,7 +172,7 @@ def _with_unmeasured_scale(
     rate = _rate_size(grid, x)
     # Away from the origin, where a higher-order term has no slope.
     shifted = x + np.where(np.all(x == 0, axis=0), 1.0, 0.0)
-    found = _rates_and_slopes(model, *_some_nodes(grid, shifted), theta)[1]
+    found = rates_and_slopes(model, *some_nodes(grid, shifted), theta)[1]
     with np.errstate(over="ignore"):
         squares = np.square(found)
     # Where a slope has no number (a corner as sharp as a step) it says nothing.
@@ -201,7 +201,7 @@ def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
     return np.sqrt(np.mean(np.square(rates), axis=0))
 
 
-def _some_nodes(grid: Grid, x: np.ndarray) -> tuple[Grid, np.ndarray]:
+def some_nodes(grid: Grid, x: np.ndarray) -> tuple[Grid, np.ndarray]:
     """`N_SLOPES` nodes of a grid, evenly spread, and the states there."""
     nodes = np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int)
     return grid.intervals(nodes[:0]).at_nodes(nodes), x[nodes]
@@ -227,7 +227,7 @@ def kinematic_states(model: Model, grid: Grid) -> tuple[np.ndarray, bool]:
     no_memory = [k for k, name in enumerate(model.states) if name not in model.memory]
     unknown = np.setdiff1d(no_memory, known)
     while len(unknown) and len(known):
-        _, slopes = _rates_and_slopes(model, grid, x, model.theta)
+        _, slopes = rates_and_slopes(model, grid, x, model.theta)
         mean_square = np.mean(slopes[:, known][:, :, unknown] ** 2, axis=(0, 1))
         # Those that make a rate of a known one.
         found = unknown[np.isfinite(mean_square) & (mean_square > TINY)]
@@ -250,7 +250,7 @@ def _follow(
     weights = 1 / np.maximum(np.std(rates, axis=0), TINY)
     found = x.copy()
     for _ in range(3):  # Newton's steps; one is exact where the rates are linear
-        values, slopes = _rates_and_slopes(model, grid, found, model.theta)
+        values, slopes = rates_and_slopes(model, grid, found, model.theta)
         missing = (rates - values[:, known]) * weights
         of_unknown = slopes[:, known][:, :, unknown] * weights[:, None]
         step = _least_squares_steps(of_unknown, missing)
@@ -263,7 +263,7 @@ def _follow(
     return True
 
 
-def _rates_and_slopes(
+def rates_and_slopes(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates (n_nodes, n_states), and slopes (n_nodes, n_states, n_states) in states."""

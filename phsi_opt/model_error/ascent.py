@@ -259,7 +259,7 @@ def climbed(
             it promises no more.
         least_gain: of the log evidence by a step, at which they end.
     """
-    lower, upper = np.array(coordinates.bounds).reshape(-1, 2).T
+    lower, upper = coordinates.bounds
     sums = coordinates.among_slopes()
 
     def slopes_at(vector: np.ndarray) -> Slopes | None:

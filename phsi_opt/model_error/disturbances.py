@@ -293,14 +293,15 @@ class Coordinates:
         return max(float(np.log(max(white / noise, TINY))), SMALLEST_LOG)
 
     @property
-    def bounds(self) -> list[tuple[float, float]]:
-        """Lower and upper bound of every coordinate."""
-        return [(lower, upper) for _, lower, upper in self._members]
+    def bounds(self) -> np.ndarray:
+        """Lower and upper bound of every coordinate, (2, n_coordinates)."""
+        bounds = [limits for _, *limits in self._members]
+        return np.array(bounds, dtype=float).reshape(-1, 2).T
 
     def is_free(self, distance: float) -> np.ndarray:
         """Whether the origin is farther from both bounds, (n_coordinates,) of bool."""
-        nearest = np.array([min(-lower, upper) for lower, upper in self.bounds])
-        return np.asarray(nearest > distance)
+        lower, upper = self.bounds
+        return np.asarray(np.minimum(-lower, upper) > distance)
 
     def among_slopes(self) -> np.ndarray:
         """Which slopes of `ascent.Slopes` belong to each coordinate, ones and zeros.

@@ -139,10 +139,6 @@ class MaximumLikelihood:
         for name, size in (self.noise or {}).items():
             require_positive(f"MaximumLikelihood: noise[{name!r}]", size)
 
-    def has_slacks(self, unknown: Theta, l1: Mapping[str, float]) -> bool:
-        """Whether the program has variables beside parameters and states."""
-        return self.huber is not None or bool(np.any(unknown.weights(l1) > 0))
-
     def program(
         self, values: LikelihoodValues, l1: Mapping[str, float], sigma: np.ndarray
     ) -> Program:
