@@ -153,9 +153,9 @@ class Dense:
 
     def force_slopes(self, equation: int) -> np.ndarray:
         """What a force of one in each interval shows, (n_values, n_intervals)."""
-        effects = self.problem.effect_of_force(equation)
-        by_interval = self.of_dynamics.reshape(len(self.y), *effects.shape)
-        return np.einsum("vis,is->vi", by_interval, effects)
+        problem = self.problem
+        effects = problem.force_effects[:, equation :: problem.n_states].toarray()
+        return np.asarray(self.of_dynamics @ effects)
 
     def force_covariance(self, d: Disturbances) -> np.ndarray:
         """Of the values of all forces."""

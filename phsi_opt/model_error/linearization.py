@@ -185,13 +185,6 @@ class Linearization:
         shape = (self.n_values + len(self.offset), n)
         return csc_matrix((entries, (row, column)), shape=shape)
 
-    def effect_of_force(self, equation: int) -> np.ndarray:
-        """B: what a force of one does to the dynamics, (n_intervals, n_states)."""
-        effect = self.force_effects[:, equation :: self.n_states].tocoo()
-        dense = np.zeros((self.grid.n_intervals, self.n_states))
-        dense[effect.col, effect.row % self.n_states] = effect.data
-        return dense
-
     @property
     def states_of_functions(self) -> np.ndarray:
         """States along which functions of them are taken, (n_nodes, n_states)."""
@@ -210,10 +203,8 @@ class Linearization:
 
     def dynamics_of_function(self, equation: int, state: int) -> np.ndarray:
         """What functions of a state do to the dynamics, as J_theta does."""
-        values = self.function_values[state]
-        effect = self.effect_of_force(equation)
-        columns = -effect[:, :, None] * values[:, None, :]
-        return columns.reshape(effect.size, -1)
+        of_force = self.force_effects[:, equation :: self.n_states]
+        return np.asarray(-(of_force @ self.function_values[state]))
 
     # --- Parts of a record
 
