@@ -1,7 +1,8 @@
 """How `MaximumLikelihood` is solved: where it starts, and what follows the optimum.
 
 1. Start: at a fit, or at a crude start: states from the data and the model's own
-   kinematics, parameters as they are given. It need not be near.
+   kinematics, parameters as they are given. It need not be near. A fit without states
+   of these data gives its values to the crude start.
 2. Full steps from there: where they leave no more than the scatter of neighbouring
    samples, 3 is not needed.
 3. A missing force that shrinks leads from the crude start near a solution of the model
