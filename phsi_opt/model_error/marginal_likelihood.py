@@ -812,13 +812,13 @@ class ForcePosterior:
         typical = np.median(self.deviation, axis=0)
         return np.asarray(size / np.maximum(typical, TINY))
 
-    def error_draws(self, n_draws: int = 24, seed: int = 0) -> np.ndarray:
+    def error_draws(self, n_draws: int = 24) -> np.ndarray:
         """Random errors of the forces, (n_intervals, n_forced, n_draws).
 
         Solutions for random noise and random innovations, whose covariance is that of
         the forces given the measurements.
         """
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(0)
         likelihood = self.likelihood
         weights = np.sqrt(self._system.weights)
         noise = rng.normal(size=(len(weights), n_draws))
