@@ -113,6 +113,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     error_before = held_out_error(page, step=0)
 
     plot = page.locator(".live > svg").first
+    plot.scroll_into_view_if_needed()
     box = plot.bounding_box()
     assert box is not None
     time = page.get_by_label("show the time (s)")
