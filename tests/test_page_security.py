@@ -182,8 +182,9 @@ def test_a_users_name_is_shown_and_stands_in_no_path(
         "working_study.toml",
     ]
     session.upload(name, b"t,q\n0,1\n1,x\n2,2\n3,4\n")
+    found = {one.key: one.said for one in session.check()}
     session.close()
-    assert f"file {name!r}, column 'q', line 3" in session.upload_error
+    assert f"file {name!r}, column 'q', line 3" in found["data.states.q.column"]
 
 
 # ---- requests ------------------------------------------------------------------------

@@ -49,6 +49,21 @@ def read_of(time: Any, states: Any = ("q",), **form: Any) -> ph.Measurements:
     return ph.Measurements.from_csv(text, time=time, states=states, **form)
 
 
+@pytest.mark.parametrize("t", [[0.0, [1.0, 2.0]], [[0.0, [1.0]], [0.0, 1.0]]])
+def test_times_of_rows_that_differ_in_length_are_refused(t: Any) -> None:
+    with pytest.raises(ph.DataError, match="'run 1': t is not a regular array"):
+        measured(t, [X[:2]] * 2)
+
+
+def test_whether_states_are_in_a_fit_is_true_or_false() -> None:
+    model = ph.FirstOrder(["x"], {"x": "-k*x"})
+    one = np.exp(-T)[:, None]
+    fit = ph.identify(model, ph.Measurements.from_arrays(T, one, states=["x"]))
+    wrong: Any = np.zeros(3)
+    with pytest.raises(ph.ModelError, match="is not possible; expected bool"):
+        fit.content(states=wrong)
+
+
 @pytest.mark.parametrize("name", ["dH_dq", "dF_du", "dH_dp", "t"])
 def test_names_of_derivatives_are_refused_everywhere(name: str) -> None:
     with pytest.raises(ph.ModelError, match=name):

@@ -290,10 +290,13 @@ def trajectories_in_arrays(
     is_list = isinstance(t, list | tuple) and len(t) > 0 and np.iterable(t[0])
     if not is_list:
         t, x, u = [t], [x], None if u is None else [u]
-    if u is None:
-        u = [np.empty((np.size(t_run), 0)) for t_run in t]
     if names is None:
         names = numbered_names("run ", len(t))
+    if u is None:
+        u = []
+        for name, t_run in zip(names, t, strict=False):
+            times = read_only_floats(t_run, 1, f"trajectory {name!r}: t")
+            u.append(np.empty((len(times), 0)))
     lists = {"t": t, "x": x, "u": u, "names": names}
     check_same_length(lists, "one entry per trajectory")
     return tuple(

@@ -511,6 +511,7 @@ class Fit(Identified, Summarised):
         """
         return read_json(path, FORMAT, "a fit", cls.from_content)
 
+    @typed
     def content(self, states: bool = False) -> Content:
         """The fit as numbers, text, lists and mappings: what `save` writes.
 
