@@ -86,6 +86,7 @@ def test_the_standard_error_agrees_with_the_scatter_over_seeds() -> None:
     assert 0.42 < np.sqrt(np.mean(np.square(scores))) < 1.65
 
 
+@pytest.mark.slow
 def test_pruning_recovers_the_support_of_a_driven_spring_from_clean_data() -> None:
     t = np.linspace(0.0, 10.0, 401)
     about: Any = {"states": ("q", "p"), "S": ph.canonical(1)}
