@@ -55,7 +55,7 @@ def data_cause(base: DiagnosedModel, larger: DiagnosedModel) -> DataCause | None
         if spoilt := _spoilt_samples(base, larger):
             return spoilt
         if not all(map(is_small_as_noise, larger.comparisons)):
-            return _one_run(base) or (_one_run(larger) if larger is not base else None)
+            return _one_run(base, larger)
     return None
 
 
@@ -92,8 +92,12 @@ def without_spoilt(data: Measurements) -> Measurements:
     return replace(data, trajectories=tuple(runs))
 
 
-def _one_run(base: DiagnosedModel) -> DataCause | None:
-    """A training run without which nearly all of the misfit is gone."""
+def _one_run(base: DiagnosedModel, rival: DiagnosedModel) -> DataCause | None:
+    """A training run without which nearly all of the misfit is gone.
+
+    And the error that judges falls by more than with a ``rival``.
+    """
+    least = max(base.share_explained(rival), 0.0)
     # The farthest off first: a fit of all runs spreads the misfit of one.
     runs = base.record.data.trajectories
     if len(runs) < FEWEST_RUNS:
@@ -104,7 +108,8 @@ def _one_run(base: DiagnosedModel) -> DataCause | None:
         with suppress(PhsiOptError):
             rest = _fitted_again(base, partial(_without_run, run.name))
             share = explained_share(base.trained, rest.trained)
-            if is_small_as_noise(rest.trained) or share > EXPLAINED_IF_NAMED:
+            is_gone = is_small_as_noise(rest.trained) or share > EXPLAINED_IF_NAMED
+            if is_gone and not base.share_explained(rest) < least:
                 fall = f"without it {base.change_words(rest)}"
                 return DataCause(
                     f"{run.title} differs from the others; {fall}", CHECK_RUN
