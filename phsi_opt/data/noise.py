@@ -89,7 +89,11 @@ def channel_spread(data: Measurements) -> np.ndarray:
 
 
 def _spread(y: np.ndarray) -> np.ndarray:
-    return np.asarray(np.ma.masked_invalid(y).std(axis=0).filled(1.0))
+    spread = np.ones(y.shape[1])
+    is_measured = np.isfinite(y)
+    for k in np.flatnonzero(is_measured.any(axis=0)):
+        spread[k] = np.std(y[is_measured[:, k], k])
+    return spread
 
 
 def _size(y: np.ndarray) -> np.ndarray:
