@@ -16,13 +16,16 @@ OTHER = SPRING.with_values({"k": 26.0, "c": 1.1})
 FEW = ["coulomb friction", "sensor gain", "cubic stiffness"]
 
 
-def pushed(seed: int, truth: Any = TRUTH) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def pushed(
+    seed: int, truth: Any = TRUTH, force: float = 8.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, positions with 1 % of noise, and the force on the spring."""
     rng = np.random.default_rng(seed)
     t = 0.04 * np.arange(200)
     phases = np.outer(t, rng.uniform(1, 6, 4)) + rng.uniform(0, 6, 4)
-    u = 8 * np.sin(phases).sum(axis=1, keepdims=True)
-    x = ph.simulate(truth, t, [rng.normal(), rng.normal()], u)
+    u = force * np.sin(phases).sum(axis=1, keepdims=True)
+    start = force / 8 * rng.normal(size=2)
+    x = ph.simulate(truth, t, start, u)
     x[:, 0] += 0.01 * x[:, 0].std() * rng.normal(size=200)
     x[:, 1] = np.nan
     return t, x, u
@@ -101,6 +104,17 @@ def test_sound_runs_are_no_cause() -> None:
     assert found.verdict == "missing: named"
     assert found.data_cause is None
     assert found.findings[0].effects[0].name == "coulomb friction"
+
+
+def test_a_run_in_which_alone_an_effect_shows_is_no_cause() -> None:
+    """The error on data held out falls with the effect, and not without the run."""
+    hard = TRUTH.add("cubic stiffness", "p").with_values({"cubic_stiffness_x": 1.5})
+    small = [pushed(seed, hard, 0.4) for seed in (71, 72)]
+    data, judge = measured(*small, pushed(73, hard)), measured(pushed(74, hard))
+    found = diagnosed(data, held_out=judge)
+    assert found.data_cause is None
+    assert found.verdict == "missing: named"
+    assert found.findings[0].effects[0].name == "cubic stiffness"
 
 
 def test_a_report_blames_the_data_and_gives_no_odds() -> None:
