@@ -95,7 +95,8 @@ def without_spoilt(data: Measurements) -> Measurements:
 def _one_run(base: DiagnosedModel, rival: DiagnosedModel) -> DataCause | None:
     """A training run without which nearly all of the misfit is gone.
 
-    And the error that judges falls by more than with a ``rival``.
+    The error that judges must also fall by no less than with the ``rival``, the model
+    with the effect that would be named.
     """
     least = max(base.share_explained(rival), 0.0)
     # The farthest off first: a fit of all runs spreads the misfit of one.

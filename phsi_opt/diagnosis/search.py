@@ -63,7 +63,7 @@ class Combination:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A model that was weighed, with one effect more."""
+    """A larger model to be weighed: a known one with one effect more."""
 
     effects: tuple[Effect, ...]  # of the larger model, the new one last
     prices: Mapping[str, float]
@@ -113,8 +113,9 @@ class Search:
             for one in filter(None, models):
                 if one.key not in enlarged and len(one.effects) < MOST_EFFECTS:
                     beam.append(one)
-            enlarged.update(one.key for one in beam[:BEAM_WIDTH])
-            self._enlarge(beam[:BEAM_WIDTH])
+            beam = beam[:BEAM_WIDTH]
+            enlarged.update(one.key for one in beam)
+            self._enlarge(beam)
             found = self.in_order()[0]
             if found is not best:
                 # What was found first may have stood in for what came after.
@@ -175,20 +176,20 @@ class Search:
                     self._take(step.effects, step.prices, next(results)())
 
     def _steps(self, one: Combination) -> Iterator["_Step"]:
-        """A model with every effect that screening expects to gain beside it."""
+        """The model with each further effect, and the log evidence it promises."""
         self.base.say(f"screening further effects beside {one.name}")
         record = replace(self.ranking.record, base=one.weighed)
         others = [effect for effect in self.effects if str(effect) not in one.key]
         for further in screened_beside(LinearizedRecord.beside_force(record), others):
             price = self.ranking.price(further)
-            # What is expected is less the values that were tried already.
-            paid = price - float(np.log(further.n_tried))
+            # The expected gain has paid for the values tried, which the price has too.
+            gain = further.gain + float(np.log(further.n_tried)) - price
             yield _Step(
                 (*one.effects, further.effect),
                 {**one.prices, str(further.effect): price},
                 record,
                 further,
-                one.log_evidence + further.gain - paid,
+                one.log_evidence + gain,
             )
 
     def _without(self, larger: Combination, name: str) -> Combination | None:
