@@ -82,8 +82,10 @@ def test_no_size_is_told_that_is_a_million_times_the_motion(drag, name) -> None:
     fit, _, screen = drag
     on = "p" if name == "constant force" else "q"
     trial = screen.trial(effect_named(fit.model, name, on))
-    change = Sensitivities(screen.linearized, trial)({})
-    point = _Point({}, change, Regression(np.array([1.0]), 1.0, np.eye(1)))
+    sensitivities = Sensitivities(screen.linearized, trial)
+    change = sensitivities({})
+    trace = sensitivities.traces([change])
+    point = _Point({}, change, trace, Regression(np.array([1.0]), 1.0, np.eye(1)))
     found = screen._expected(trial, point, 1)
     assert (found.coefficient, found.std_error) == (1.0, 1.0)
     regression = replace(point.regression, coefficients=np.array([2e8]))

@@ -68,6 +68,7 @@ class _Point:
 
     values: dict[str, float]
     change: Change
+    trace: np.ndarray  # (n_values, k) what the change leaves in the residual
     regression: Regression
 
 
@@ -130,7 +131,10 @@ class ScoreTest:
         """
         trial, change = whole.trial, best.change
         states = self.linearized.model.states
-        if not trial.linear or not moves_with_states(trial.effect, states):
+        has_volume = self.linearized.record is not None
+        if not has_volume or not trial.linear:
+            return best
+        if not moves_with_states(trial.effect, states):
             return best
         slopes = np.zeros(change.of_defects.shape[1])  # none of friction at rest
         values = dict.fromkeys(trial.linear, 0.0) | best.values
@@ -138,8 +142,7 @@ class ScoreTest:
             slopes[: len(trial.linear)] = self.linearized.volume_slopes(
                 trial.model, values, trial.linear, change
             )
-        trace = whole.traces([change])
-        return replace(best, regression=whole.regression(trace, slopes))
+        return replace(best, regression=whole.regression(best.trace, slopes))
 
     def trial(self, effect: Effect) -> Trial:
         """The effect in the model, with what is to be tried."""
@@ -254,7 +257,8 @@ def _best(sensitivities: Sensitivities, points: list[dict[str, float]]) -> _Poin
     parts = np.split(sensitivities.traces(changes), len(points), axis=1)
     tried = []
     for values, change, trace in zip(points, changes, parts, strict=True):
-        tried.append(_Point(values, change, sensitivities.regression(trace)))
+        found = sensitivities.regression(trace)
+        tried.append(_Point(values, change, trace, found))
     return max(tried, key=lambda point: point.regression.drop)
 
 
