@@ -37,8 +37,8 @@ FITTED_FILE = "fitted_study.toml"
 OPENED_FILE = "opened_study.toml"
 REPORT_FILE = "report.html"
 MOST_MOMENTS = 100  # to which undo goes
-# s: one call of the process that reads, and more where files are large. A full check of
-# a table takes some 2 s for each MB; a busy machine five times as long.
+# Processor seconds of a call of the process that reads, and more where files are large:
+# a full check of a table takes some 2 s for each MB.
 READ_WITHIN = 60.0
 SECONDS_PER_BYTE = 10e-6
 HAS_ENDED = "this study has ended; load the page again."

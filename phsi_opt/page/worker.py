@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -30,6 +31,8 @@ from phsi_opt.study_file.kept_fits import KeptFits
 from phsi_opt.study_file.study_file import StudyFile
 
 Order = partial[Any]  # a function of a module, with its arguments
+OUT_OF_TIME = getattr(signal, "SIGXCPU", 0)
+WAITS = 10  # times as long by the clock: a machine may be busy
 WARMS_UP = "house"  # an example whose units take most to read
 Receiver = Callable[["WorkerHandle", Any], None]
 
@@ -126,22 +129,27 @@ class WorkerHandle:
         """What an order returns in the process, which ends if that takes too long.
 
         Args:
-            within: seconds; None: as many as it takes.
+            within: seconds of its processor; None: as many as it takes.
             order: a function with its arguments.
 
         Raises:
             DataError: the order is refused; it took too long; the process ended.
         """
-        self.tell(order)
+        self.tell(partial(_limited, within, order))
+        has_time = True
+        returned = None
         try:
-            returned = self._returned.get(timeout=within)
+            returned = self._returned.get(timeout=within and WAITS * within)
         except Empty:
             self.end()
-            raise DataError(
-                f"reading was ended after {within:.0f} s. Keep fewer samples, or "
-                "read the file in Python."
-            ) from None
+            has_time = False
         if returned is None:
+            self.process.join(1.0)
+            if within and not (has_time and self.process.exitcode != -OUT_OF_TIME):
+                raise DataError(
+                    f"reading was ended after {within:.0f} s. Keep fewer samples, or "
+                    "read the file in Python."
+                )
             raise DataError(
                 "the process that reads files ended unexpectedly, perhaps as memory "
                 "is short. Try again with fewer samples."
@@ -215,6 +223,20 @@ def work(connection: Connection, solves: bool) -> None:
             _Process.study = order
         else:
             connection.send(_returned(order))
+
+
+def _limited(within: float | None, order: Order) -> Any:
+    """What an order returns; the process is ended if that takes too much of its time.
+
+    Where the system can (not on Windows); a process that waits for others takes none.
+    """
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_CPU)
+        until = most if within is None else int(time.process_time() + within) + 1
+        resource.setrlimit(resource.RLIMIT_CPU, (until, most))
+    return order()
 
 
 def _returned(order: Order) -> Returned:
