@@ -232,7 +232,7 @@ def _effects_told(file: StudyFile, model: Model) -> Iterator[dict[str, Any]]:
 
 
 def _told(name: str, adds: str, units: Mapping[str, str]) -> dict[str, Any]:
-    others = list(said_of(name)[1])
+    others = list(said_of(name).others)
     return {"effect": name, "adds": adds, "units": units, "also_called": others}
 
 

@@ -12,6 +12,7 @@ from phsi_opt.diagnosis.candidate import Candidate, at_limit
 from phsi_opt.diagnosis.refit import DiagnosedModel, refit
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.laws import said_of
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
@@ -36,13 +37,12 @@ class Ranking:
     weighed: dict[str, Weighed] = field(default_factory=dict)
 
     def price(self, one: Screened) -> float:
-        """Logarithm of what was tried: values of inner numbers, and effects."""
-        model = self.record.base.model
-        tried = float(np.log(one.n_tried * len(self.screened)))
-        if one.effect.needs_clock and not model.inputs:
-            # What nobody drives rarely knows the time: runs begun in phase look so.
-            tried += STRONG_EVIDENCE
-        return tried
+        """Logarithm of what was tried: values of inner numbers, and effects.
+
+        Of the effects those count more that are met more often (`model.laws`).
+        """
+        every = sum(said_of(other.effect.name).odds for other in self.screened.values())
+        return float(np.log(one.n_tried * every / said_of(one.effect.name).odds))
 
     def take(self, base: DiagnosedModel, one: Screened, weighed: Weighed) -> Candidate:
         """Note what was weighed; the likelier of two counts."""

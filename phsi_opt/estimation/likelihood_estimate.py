@@ -151,11 +151,19 @@ class LikelihoodEstimate(Estimate):
             self.point.theta_scale,
             scaled,
             self.solution.outcome.at_bounds,
+            predicted=self._predicted,
         )
         # Variance of Huber's estimator over what the squares alone would say:
         # E[psi^2] / E[psi']^2 of an M-estimator, from the residuals (Huber 1964).
         ratio = self.score_variance / self.share_within
         return replace(of_squares, covariance=of_squares.covariance * ratio)
+
+    def _predicted(self, theta: np.ndarray) -> np.ndarray:
+        """Defects and outputs of other parameters at the states, all in a row."""
+        known, model = self.unknown.by_trajectory(theta), self.model
+        grid, x = self.grid, self.nodes
+        d = parameter_slopes(model, grid, self.loss.integrator, known, x, []).d
+        return np.r_[d.ravel(), outputs(model, grid, x, known).ravel()]
 
     @property
     def share_within(self) -> float:

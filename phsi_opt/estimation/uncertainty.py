@@ -1,7 +1,8 @@
 """Covariances of the estimates: what the data say about each parameter.
 
 By `MaximumLikelihood` the covariance is the inverse of the information; by `PHSILoss`,
-whose residuals are not independent, it is a sandwich. A parameter at a bound, and one
+whose residuals are not independent, it is a sandwich, and the shift by the scheme's own
+error counts as one standard deviation. A parameter at a bound, and one
 of which the data say nothing, gets NaN: no number is given that is not trusted.
 
 The data say nothing of a direction of the scaled parameters where only the ridge of the
@@ -9,7 +10,7 @@ covariance holds it, where rounding errors alone tell it, or where several param
 may be multiplied by one factor without a trace. A sentence says what could be fixed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,13 +19,22 @@ import scipy
 from phsi_opt.errors import SolveError
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.bounded_step import RIDGE
-from phsi_opt.transcription.defects import defect_slopes
+from phsi_opt.transcription.defects import (
+    defect_slopes,
+    integration_errors,
+    parameter_slopes,
+)
 from phsi_opt.transcription.grid import Grid
 
 # Share of a direction's largest member from which a parameter belongs to it.
 MEMBER_SHARE = 0.1
 # Standard deviation of a common factor from which it is called open.
 OPEN_FACTOR = 2
+# Share of what one parameter alone changes in the predictions, below which nothing is.
+NO_CHANGE = 1e-3
+
+# Of scaled parameters (n_theta,), a number per value.
+Predictions = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +76,17 @@ def of_covariance(
     at_bounds: tuple[str, ...],
     known: SilentDirections = NOTHING_SILENT,
     told: np.ndarray | None = None,
+    predicted: Predictions | None = None,
 ) -> Uncertainty:
-    """A covariance of scaled parameters, without those of which nothing is known."""
+    """A covariance of scaled parameters, without those of which nothing is known.
+
+    ``predicted`` tells what parameters, not scaled, predict.
+    """
     held = [i for i, name in enumerate(names) if name in at_bounds]
     held += known.parameters
     told = scaled if told is None else told
-    found = silent_directions(names, theta / scale, told, held)
+    of_scaled = None if predicted is None else lambda one: predicted(one * scale)
+    found = silent_directions(names, theta / scale, told, held, of_scaled)
     silent = SilentDirections(
         sentences=(*known.sentences, *found.sentences),
         parameters=tuple(sorted({*known.parameters, *found.parameters})),
@@ -102,7 +117,9 @@ def of_defects(
 
     where G_n gathers what the two defects at the sample n make of its noise; so the
     covariance of the gradient is sum_n G_n Sigma G_n'. Sigma, a variance per state,
-    comes from the sizes of the defects. The bias that noisy states cause is not in it.
+    comes from the sizes of the defects. What exact solutions leave in the defects, the
+    error of the scheme, shifts the estimate; the shift counts as a standard deviation.
+    The bias that noisy states cause is not in it.
 
     Estimates theta and their ``scale`` are (n_free,); ``d`` are the defects
     (n_intervals, n_states) there, where they are not the model's alone.
@@ -131,13 +148,16 @@ def of_defects(
     ridge = RIDGE * mean_information * np.eye(n_theta)
     # A pseudo-inverse, for data from which nothing follows: states that are all zero.
     bread = np.linalg.pinv(information + ridge, hermitian=True)
+    error = integration_errors(model, grid, scheme, y, theta)
+    shift = bread @ (by_defect.T @ error.ravel())
     return of_covariance(
         model.free,
         theta,
         scale,
-        bread @ of_gradient @ bread,
+        bread @ of_gradient @ bread + np.outer(shift, shift),
         at_bounds,
         told=bread * mean_information,
+        predicted=lambda one: parameter_slopes(model, grid, scheme, one, y, []).d,
     )
 
 
@@ -149,11 +169,13 @@ def silent_directions(
     theta: np.ndarray,
     covariance: np.ndarray,
     held: Sequence[int] = (),
+    predicted: Predictions | None = None,
 ) -> SilentDirections:
     """Find the directions on which the data are silent.
 
     Of scaled parameters theta (n_theta,), by their covariance (n_theta, n_theta) with
-    the ridge. Those that are ``held``, such as at a bound, do not move.
+    the ridge. Those that are ``held``, such as at a bound, do not move. What parameters
+    predict tells a sum of equal parts from a product.
 
     Raises:
         SolveError: the covariance is not finite.
@@ -178,8 +200,9 @@ def silent_directions(
         places = _members(direction, spread, size)
         members = moving[places].tolist()
         silent.update(members)
-        of_members = list(map(names.__getitem__, members))
-        sentences.append(_sentence(of_members, direction[places], theta[members]))
+        change = np.zeros(len(theta))
+        change[members] = direction[places]
+        sentences.append(_sentence(names, members, change, theta, predicted))
         if own is not None:
             pinned.append(int(moving[own]))
     return SilentDirections(
@@ -247,20 +270,47 @@ def _is_scaling(spread: np.ndarray, size: np.ndarray) -> bool:
     return bool(has_several and is_open and is_one_factor)
 
 
-def _sentence(names: list[str], change: np.ndarray, theta: np.ndarray) -> str:
+def _sentence(
+    every: Sequence[str],
+    members: list[int],
+    change: np.ndarray,
+    theta: np.ndarray,
+    predicted: Predictions | None,
+) -> str:
     """What may change together without a trace, and what to do about it."""
+    names = list(map(every.__getitem__, members))
     if len(names) == 1:
         return (
             f"the data contain no information about {names[0]}: fix it to a known "
             "value or remove it"
         )
     apart = f"the data cannot distinguish {', '.join(names)}: "
-    if np.all(theta != 0):
-        relative = change / theta
+    if np.all(theta[members] != 0):
+        relative = change[members] / theta[members]
         size = np.abs(relative)
-        if np.ptp(size) < 0.02 * np.max(size):  # one factor, in words
-            return apart + _common_factor(names, relative)
+        # One factor, in words, unless it is a sum whose parts happen to be of one size.
+        if np.ptp(size) < 0.02 * np.max(size):
+            if predicted is None or not _is_sum(predicted, theta, members[0], change):
+                return apart + _common_factor(names, relative)
     return f"{apart}fix one of them to a known value"
+
+
+def _is_sum(
+    predicted: Predictions, theta: np.ndarray, first: int, change: np.ndarray
+) -> bool:
+    """Whether a direction leaves no trace where its first parameter is another, too.
+
+    That of a sum is the same everywhere, that of a product or a ratio is not.
+    """
+    step = change * theta[first] / change[first] / 2
+    second = theta.copy()
+    second[first] *= 1.5
+    alone = second.copy()
+    alone[first] += step[first]
+    before = predicted(second)
+    along, of_first = predicted(second + step) - before, predicted(alone) - before
+    is_silent = np.linalg.norm(along) < NO_CHANGE * np.linalg.norm(of_first)
+    return bool(is_silent)
 
 
 def _common_factor(names: list[str], relative: np.ndarray) -> str:

@@ -98,7 +98,7 @@ def effects_told(
             is_of_role = not law.roles or role in law.roles
             effect = law.effect(known, names) if is_of_role else None
             if effect is not None and not is_redundant(known, effect):
-                adds = said_of(effect.name)[0].format_map(names)
+                adds = said_of(effect.name).adds.format_map(names)
                 over_inertia = f"/{names['inertia']}"
                 if effect.term.terms[-1].body.endswith(over_inertia):
                     adds = (f"({adds})" if " + " in adds else adds) + over_inertia
@@ -156,7 +156,7 @@ def _called(name: str, equation: str | None, effects: list[Effect]) -> list[Effe
     asked = name.lower()
     there = [one for one in effects if equation in (None, one.equation)]
     named = [one for one in there if one.name.lower() == asked]
-    return named or [one for one in there if asked in said_of(one.name)[1]]
+    return named or [one for one in there if asked in said_of(one.name).others]
 
 
 def _not_in_catalogue(
@@ -184,7 +184,7 @@ MISSPELT = 0.85  # likeness of two words of which one is misspelt
 
 def _hint(name: str, effects: Sequence[Effect]) -> str:
     """Effects of a like name, or with a word in common in one of their names."""
-    names = {one.name: " ".join((one.name, *said_of(one.name)[1])) for one in effects}
+    names = {one.name: " ".join((one.name, *said_of(one.name).others)) for one in effects}
     alike = get_close_matches(name.lower(), names, 1, MISSPELT)
     asked = set(name.lower().split())
     if not alike:

@@ -25,7 +25,9 @@ brings what it names of ``INNER_PARAMETERS`` and ``MEMORIES``.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -148,86 +150,96 @@ MEMORIES: Mapping[str, Mapping[str, str]] = {
 
 # ---- what people call them -----------------------------------------------------------
 
-# By the name of a law: what it adds, with c for its coefficient, and its other names. A
-# row of several laws of like names begins as they do.
+# By the name of a law: its odds, what it adds, with c for its coefficient, and its other
+# names. A row of several laws of like names begins as they do. The odds say how often
+# such a thing is met before anything is measured: 4 where three or more of the measured
+# machines that this package was tried on had it (24, in results/measured_stories.md and
+# its tests), 1 where one or two had, or where it is a textbook's usual law, 1/4 where
+# none had and most machines have no reason to.
 SAID = """
-viscous damping | -c {e} | viscous friction, damper, dashpot, linear drag
-laminar pipe friction | -c {e} | pipe resistance, pipe loss
-linear leak | -c {e} | leak, leakage, seepage
-linear resistance | -c {e} | ohmic loss, winding resistance, series resistance
-leakage conductance | -c {e} | leakage current, self-discharge
-heat loss | -c {e} | cooling, convection, heat leak, heat transfer
-coulomb friction | -c sign({e}) | dry friction, sliding friction, kinetic friction
-contact voltage drop | -c sign({e}) | brush drop, diode drop
-quadratic drag | -c |{e}| {e} | air drag, air resistance, wind resistance, windage
-turbulent pipe friction | -c |{e}| {e} | pipe loss, pressure loss
-quadratic leak | -c |{e}| {e} | leak, leakage
-quadratic resistance | -c |{e}| {e} |
-quadratic conductance | -c |{e}| {e} |
-quadratic heat loss | -c |{e}| {e} | natural convection
-cubic drag | -c {e}^3 |
-stribeck friction | -(c + s exp(-({e}/v_s)^2)) sign({e}) | stiction, static friction
-turbulent leak | -c sign({e}) sqrt(|{e}|) | leak, leakage, orifice, outflow, hole
-saturating leak | -c {e}/(1 + |{e}|/half) | leak, leakage
-overflow | -c sign({e}) max(|{e}| - limit, 0) | spill, weir
-radiation | -c {e}^3 |{e}| | thermal radiation, radiative loss
-position-dependent damping | -c {q}^2 {e} | position-dependent friction
-charge-dependent resistance | -c {q}^2 {e} |
-constant | c | bias, offset, load, tilt, gravity, disturbance, supply
-drifting | c t | drift, trend, ramp
-harmonic | a sin({omega} t) + b cos({omega} t) | unbalance, vibration, ripple, hum
-quadratic input | c {u}^2 | nonlinear actuator
-odd quadratic input | c |{u}| {u} | nonlinear actuator
-input gain | c {dF}{u} | actuator gain, calibration, scale error
-input dead zone | -{dF}min(max({u}, -width), width) | dead band, threshold
-input saturation | -{dF}({u} - min(max({u}, -limit), limit)) | saturation
-input lag | {dF}(z - {u}), lag dz/dt = {u} - z | actuator lag, slow actuator
-input delay | {dF}({u}(t - delay) - {u}) | dead time, transport delay, latency
-linear stiffness | energy c {q}^2/2 | spring
-quadratic stiffness | energy c {q}^3/3 | asymmetric spring
-cubic stiffness | energy c {q}^4/4 | hardening, softening, duffing spring
-gravity torque | energy -c cos({angle}) | pendulum, imbalance, eccentric weight
-linear elastance | energy c {q}^2/2 | series capacitor
-quadratic elastance | energy c {q}^3/3 |
-cubic elastance | energy c {q}^4/4 |
-coil saturation | energy c {x}^4/4 | saturation, iron saturation, magnetic saturation
-coil or capacitor saturation | energy c {x}^4/4 | saturation, iron saturation
-coupling stiffness | energy c ({q1} - {q2})^2/2 | coupling spring
-coupling capacitance | energy c ({q1} - {q2})^2/2 |
-gap | energy c max(|{q}| - play, 0)^2/2 | backlash, free play, play, clearance, slack
-second heat storage | c (z - {x}), tau dz/dt = {x} - z | wall, thermal mass
-second charge storage | c (z - {x}), tau dz/dt = {x} - z | relaxation
-parametric stiffness | -{q} (a sin({omega} t) + b cos({omega} t)) |
-parametric elastance | -{q} (a sin({omega} t) + b cos({omega} t)) |
-hysteresis | -c z, w dz/dt = {e} - (|{e}| z + {e} |z|)/2 | bouc-wen, presliding
-bouc-wen hysteresis | -c z, w dz/dt = {e} - (|{e}| z + s {e} |z|)/2 | free hysteresis
-overflow from | c max({s_e} - limit, 0) | spill, weir
-heat exchange with | c ({s_e} - {e}) | heat transfer, ambient, conduction
-sensor offset | sensor + c | offset, bias, zero error
-sensor gain | sensor + c {x} | calibration, scale error
-sensor drift | sensor + c t | drift
-sensor clipping | sensor = min(max({x}, -limit), limit) | clipping, saturation
-sensor delay | sensor = {x}(t - delay) | latency, time delay, filter delay
+viscous damping | 4 | -c {e} | viscous friction, damper, dashpot, linear drag
+laminar pipe friction | 1 | -c {e} | pipe resistance, pipe loss
+linear leak | 1 | -c {e} | leak, leakage, seepage
+linear resistance | 1 | -c {e} | ohmic loss, winding resistance, series resistance
+leakage conductance | 1 | -c {e} | leakage current, self-discharge
+heat loss | 4 | -c {e} | cooling, convection, heat leak, heat transfer
+coulomb friction | 4 | -c sign({e}) | dry friction, sliding friction, kinetic friction
+contact voltage drop | 1 | -c sign({e}) | brush drop, diode drop
+quadratic drag | 4 | -c |{e}| {e} | air drag, air resistance, wind resistance, windage
+turbulent pipe friction | 1 | -c |{e}| {e} | pipe loss, pressure loss
+quadratic leak | 1 | -c |{e}| {e} | leak, leakage
+quadratic resistance | 1 | -c |{e}| {e} |
+quadratic conductance | 1 | -c |{e}| {e} |
+quadratic heat loss | 1 | -c |{e}| {e} | natural convection
+cubic drag | 1/4 | -c {e}^3 |
+stribeck friction | 1 | -(c + s exp(-({e}/v_s)^2)) sign({e}) | stiction, static friction
+turbulent leak | 4 | -c sign({e}) sqrt(|{e}|) | leak, leakage, orifice, outflow, hole
+saturating leak | 1 | -c {e}/(1 + |{e}|/half) | leak, leakage
+overflow | 1 | -c sign({e}) max(|{e}| - limit, 0) | spill, weir
+radiation | 1 | -c {e}^3 |{e}| | thermal radiation, radiative loss
+position-dependent damping | 1/4 | -c {q}^2 {e} | position-dependent friction
+charge-dependent resistance | 1/4 | -c {q}^2 {e} |
+constant | 4 | c | bias, offset, load, tilt, gravity, disturbance, supply
+drifting | 1/4 | c t | drift, trend, ramp
+harmonic | 1/4 | a sin({omega} t) + b cos({omega} t) | unbalance, vibration, ripple, hum
+quadratic input | 1 | c {u}^2 | nonlinear actuator
+odd quadratic input | 1 | c |{u}| {u} | nonlinear actuator
+input gain | 1 | c {dF}{u} | actuator gain, calibration, scale error
+input dead zone | 1 | -{dF}min(max({u}, -width), width) | dead band, threshold
+input saturation | 1 | -{dF}({u} - min(max({u}, -limit), limit)) | saturation
+input lag | 4 | {dF}(z - {u}), lag dz/dt = {u} - z | actuator lag, slow actuator
+input delay | 4 | {dF}({u}(t - delay) - {u}) | dead time, transport delay, latency
+linear stiffness | 1 | energy c {q}^2/2 | spring
+quadratic stiffness | 1 | energy c {q}^3/3 | asymmetric spring
+cubic stiffness | 4 | energy c {q}^4/4 | hardening, softening, duffing spring
+gravity torque | 1 | energy -c cos({angle}) | pendulum, imbalance, eccentric weight
+linear elastance | 1 | energy c {q}^2/2 | series capacitor
+quadratic elastance | 1 | energy c {q}^3/3 |
+cubic elastance | 1 | energy c {q}^4/4 |
+coil saturation | 1 | energy c {x}^4/4 | saturation, iron saturation, magnetic saturation
+coil or capacitor saturation | 1 | energy c {x}^4/4 | saturation, iron saturation
+coupling stiffness | 1 | energy c ({q1} - {q2})^2/2 | coupling spring
+coupling capacitance | 1 | energy c ({q1} - {q2})^2/2 |
+gap | 1 | energy c max(|{q}| - play, 0)^2/2 | backlash, free play, play, clearance, slack
+second heat storage | 4 | c (z - {x}), tau dz/dt = {x} - z | wall, thermal mass
+second charge storage | 4 | c (z - {x}), tau dz/dt = {x} - z | relaxation
+parametric stiffness | 1/4 | -{q} (a sin({omega} t) + b cos({omega} t)) |
+parametric elastance | 1/4 | -{q} (a sin({omega} t) + b cos({omega} t)) |
+hysteresis | 1 | -c z, w dz/dt = {e} - (|{e}| z + {e} |z|)/2 | bouc-wen, presliding
+bouc-wen hysteresis | 1/4 | -c z, w dz/dt = {e} - (|{e}| z + s {e} |z|)/2 | free hysteresis
+overflow from | 1 | c max({s_e} - limit, 0) | spill, weir
+heat exchange with | 1 | c ({s_e} - {e}) | heat transfer, ambient, conduction
+sensor offset | 1 | sensor + c | offset, bias, zero error
+sensor gain | 1/4 | sensor + c {x} | calibration, scale error
+sensor drift | 1/4 | sensor + c t | drift
+sensor clipping | 1 | sensor = min(max({x}, -limit), limit) | clipping, saturation
+sensor delay | 1 | sensor = {x}(t - delay) | latency, time delay, filter delay
 """
 
 
-ROWS: dict[str, tuple[str, tuple[str, ...]]] = {}
+class Row(NamedTuple):
+    """What is said of a law."""
+
+    odds: float = 1.0  # before anything is measured
+    adds: str = ""  # with names in braces
+    others: tuple[str, ...] = ()  # names
+
+
+ROWS: dict[str, Row] = {}
 for _line in SAID.strip().splitlines():
-    _name, _adds, _others = f"{_line} ".split(" | ")
-    ROWS[_name] = _adds, tuple(filter(None, _others.strip().split(", ")))
+    _name, _odds, _adds, _others = f"{_line} ".split(" | ")
+    _names = tuple(filter(None, _others.strip().split(", ")))
+    ROWS[_name] = Row(float(Fraction(_odds)), _adds, _names)
 
 
-def said_of(name: str) -> tuple[str, tuple[str, ...]]:
-    """What an effect adds, with names in braces, and what else it is called.
-
-    Of a name such as "input delay of u" the row is "input delay".
-    """
+def said_of(name: str) -> Row:
+    """What is said of an effect; of "input delay of u" the row is "input delay"."""
     words = name.split()
     for n in range(len(words), 0, -1):
         row = ROWS.get(" ".join(words[:n]))
         if row is not None:
             return row
-    return "", ()
+    return Row()
 
 
 # What the numbers of a law are, by the parts of their names, where these do not say it.
@@ -515,7 +527,7 @@ def laws_told() -> dict[str, str]:
     told = {}
     for law in chain(*TABLES):
         name = law.name.format_map(ANY_MODEL)
-        told[name] = said_of(name)[0].format_map(ANY_MODEL)
+        told[name] = said_of(name).adds.format_map(ANY_MODEL)
     return told
 
 

@@ -314,6 +314,20 @@ def local_errors(
     return _ends(model, grid, x, theta) - x[grid.begin + 1]
 
 
+def integration_errors(
+    model: Model, grid: Grid, scheme: str, x: np.ndarray, theta: np.ndarray
+) -> np.ndarray:
+    """Defects that exact solutions from states x have, (n_intervals, n_states).
+
+    Zero where the exact end leaves the range of numbers.
+    """
+    x0, _, *interval = interval_arguments(grid.driven(model, theta), x.T)
+    ends = _ends(model, grid, x, theta).T
+    own = _of_each(theta, grid.runs)
+    (d,) = in_numbers(defect(model, scheme), x0, ends, *interval, own)
+    return np.where(np.isfinite(d.T), d.T, 0.0)
+
+
 def between_samples(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> np.ndarray:

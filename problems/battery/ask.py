@@ -1,6 +1,6 @@
 """One case examined: what the diagnosis says, beside what was hidden.
 
-With hidden effects the first diagnosis answers (of two effects a study), with machines
+With hidden effects the first diagnosis answers (of several effects a study), with machines
 of the field a study that goes on by itself. Whatever fails is recorded, and counts as
 wrong or silent.
 """
@@ -14,6 +14,7 @@ import pandas as pd
 
 import phsi_opt as ph
 from problems.battery.draw import TABLES, HiddenRow, draw
+from problems.battery.masses import SEVERAL
 from problems.battery.records import FIELD, HIDDEN, Case, Truth
 from problems.tools.intervals import HALF_WIDTH
 from problems.tools.provenance import commit
@@ -24,6 +25,7 @@ DETECTED = 6.63
 MOST_STEPS = {HIDDEN: 4, FIELD: 3}  # of a study
 REASON_LENGTH = 200  # characters kept of an error's message
 NAME, CLASS, FALSE, SILENT = "right name", "class", "false name", "silent"
+NOTHING = ("nothing", "lasting")  # kinds of rows in which nothing is hidden
 ROW = {HIDDEN: "row", FIELD: "kind"}  # the column that names a case's row
 
 Found = dict[str, object]  # columns of the kept tables
@@ -60,7 +62,8 @@ def examined(task: Task) -> Found:
     began = time.perf_counter()
     try:
         if isinstance(row, HiddenRow):
-            record |= _two(case) if row.kind == "two" else _one(case, row.kind)
+            has_several = row.kind in SEVERAL
+            record |= _several(case) if has_several else _one(case, row.kind)
         else:
             record |= _field_answer(case)
     # Whatever goes wrong is a case that was not examined, and names nothing.
@@ -99,7 +102,7 @@ def _one(case: Case, kind: str) -> Found:
     verdict = diagnosis.verdict
     table = diagnosis.candidates
     found: Found = {"base_error": diagnosis.base.rmse / floor(case), "verdict": verdict}
-    if kind == "nothing":
+    if kind in NOTHING:
         found["right"] = verdict == ph.Verdict.NOTHING_MISSING
     elif kind == "outside":
         found["right"] = verdict == ph.Verdict.UNEXPLAINED
@@ -149,10 +152,10 @@ def covered(truth: float, estimate: float, error: float) -> float:
     return float(abs(estimate - truth) <= HALF_WIDTH * error)
 
 
-# --- hidden effects: two are hidden
+# --- hidden effects: several are hidden
 
 
-def _two(case: Case) -> Found:
+def _several(case: Case) -> Found:
     """The study adds by itself, a step at a time, until it stops."""
     study = ph.Study(case.model, case.train, held_out=case.test)
     before = study.history["held_out_rmse"].iloc[0]

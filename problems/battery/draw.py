@@ -59,7 +59,8 @@ SEPARATED = (
 class HiddenRow:
     """What may be hidden, at which noise levels (relative to each channel's deviation).
 
-    ``kind``: "one", "nothing", "two", "outside", "sensor" or "tanks".
+    ``kind``: "one", "nothing", "lasting" (nothing, in noise that lasts), "two", "three",
+    "shaken" (two beside a random force), "outside", "sensor" or "tanks".
     """
 
     name: str
@@ -177,7 +178,9 @@ def _hidden_rows() -> list[HiddenRow]:
         for noise in NOISE_LEVELS:
             name = f"{effect.replace(' ', '_')}_{noise:g}"
             rows.append(HiddenRow(name, "one", (effect,), (noise,)))
-    rows.append(HiddenRow("two_effects", "two", SEPARATED, NOISE_LEVELS))
+    rows.append(HiddenRow("lasting_noise", "lasting", (), NOISE_LEVELS))
+    for kind in ("two", "three", "shaken"):
+        rows.append(HiddenRow(f"{kind}_effects", kind, SEPARATED, NOISE_LEVELS))
     rows.append(HiddenRow("outside", "outside", OUTSIDE, NOISE_LEVELS))
     for effect in SENSORS:
         name = effect.replace(" ", "_")

@@ -47,6 +47,10 @@ from problems.battery.records import (
     searched,
 )
 
+# Numbers of effects by the kinds of rows that have several.
+SEVERAL = {"two": 2, "three": 3, "shaken": 2}
+SHAKEN = 0.05  # random force over the spring's, root mean square
+MEMORY = 0.7  # of noise that lasts, from sample to sample
 N_TRAIN = 3
 N_TEST = 2
 N_RUNS = N_TRAIN + N_TEST
@@ -93,11 +97,12 @@ def simulate(
     drive: Drive | None,
     times: Array,
     steps: int = 0,
+    shaking: Drive | None = None,
 ) -> Array:
     """States (n_times, ..., n_trajectories, 2 n_masses) from ``starts`` at times[0].
 
     By SciPy, or quickly, to find the size of an effect: ``steps`` of Runge and Kutta
-    between two times.
+    between two times. Nobody knows of the force by which the pushed mass is shaken.
     """
     n = machine.n
     begun = [starts]
@@ -123,8 +128,8 @@ def simulate(
             pull = machine.coupling * (q[..., 1] - q[..., 0])
             force[..., 0] += pull
             force[..., 1] -= pull
-        if drive is not None:
-            force[..., machine.pushed] += drive.at(t)
+        for pushing in filter(None, (drive, shaking)):
+            force[..., machine.pushed] += pushing.at(t)
         for effect, law, place in forces:
             at = effect.at
             other = q[..., n - 1 - at]
@@ -182,6 +187,7 @@ def measured(
     drive: Drive | None,
     times: Array,
     steps: int = 0,
+    shaking: Drive | None = None,
 ) -> Array:
     """What the sensors show, (n_times, n_trajectories, 2 n_masses), without noise;
     sensors count states, not masses.
@@ -193,7 +199,7 @@ def measured(
         # The record begins earlier, so that its first samples are there.
         earlier = [times[0] - delay]
         moments = np.unique(np.concatenate([earlier, times - delay, times]))
-    x = simulate(machine, hidden, starts, drive, moments, steps)
+    x = simulate(machine, hidden, starts, drive, moments, steps, shaking)
     y = x[np.searchsorted(moments, times)]
     late = x[np.searchsorted(moments, times - delay)] if delay else y
     for sensor in sensors:
@@ -660,16 +666,16 @@ def unit_of(hidden: Hidden, s: Setting) -> float:
 def masses_case(
     rng: np.random.Generator, kind: str, effects: tuple[str, ...], aim: Aim
 ) -> Case | None:
-    """None, one or two of the effects in a machine; None where they do not show.
+    """None, one or several of the effects in a machine; None where they do not show.
 
-    Of two effects each alone meets the aim; the error of both together is computed once
-    more.
+    Of several effects each alone meets the aim; the error of all together is computed
+    once more.
     """
     names: tuple[str, ...] = ()
-    if kind == "two":
-        pairs = list(combinations(effects, 2))
-        names = pairs[rng.integers(len(pairs))]
-    elif kind != "nothing":
+    if kind in SEVERAL:
+        sets = list(combinations(effects, SEVERAL[kind]))
+        names = sets[rng.integers(len(sets))]
+    elif effects:
         names = (str(rng.choice(effects)),)
     s = draw_setting(rng, names)
     ratio = 1.0
@@ -680,18 +686,20 @@ def masses_case(
             return None
         hidden.append(found[0])
         ratio = found[1]
-    if kind == "two":
+    if kind in SEVERAL:
         error = Refit(s).error(training_samples(tuple(hidden), s))
         if not error < LOUDEST_OF_SIGNAL:
             return None
         ratio = aim.ratio(error)
-    shown = measured(s.machine, tuple(hidden), s.starts, s.drive, s.t)
+    shaking = _shaking(rng, s) if kind == "shaken" else None
+    shown = measured(s.machine, tuple(hidden), s.starts, s.drive, s.t, 0, shaking)
     y = np.moveaxis(shown, 0, 1)  # (n_runs, n_times, n_states)
     without = np.moveaxis(s.nominal, 0, 1)
     seen = list(s.seen)
     if hidden and not shows_held_out(y[..., seen], without[..., seen]):
         return None
-    sampled = samples(rng, y, aim.noise, s.t, s.states, s.seen, s.drive)
+    memory = MEMORY if kind == "lasting" else 0.0
+    sampled = samples(rng, y, aim.noise, s.t, s.states, s.seen, s.drive, memory)
     return Case(
         model=model_of(s, rng),
         truths=tuple(truth_of(effect, s) for effect in hidden),
@@ -702,6 +710,27 @@ def masses_case(
     )
 
 
+def _shaking(rng: np.random.Generator, s: Setting) -> Drive:
+    """An Ornstein-Uhlenbeck force whose correlation time is a radian of the swing."""
+    steps = 4  # between samples
+    h = float(s.t[1]) / steps
+    keep = np.exp(-2 * np.pi * h / s.period)
+    innovations = rng.normal(size=(N_RUNS, steps * len(s.t) + 1))
+    values = lasting(innovations, keep)
+    at = s.machine.pushed
+    spring = s.machine.stiffness[at] * np.sqrt(np.mean(s.nominal[..., at] ** 2))
+    return Drive(h, SHAKEN * spring * values, "linear")
+
+
+def lasting(white: Array, memory: float, axis: int = -1) -> Array:
+    """White noise (n_runs, n_samples, ...) as one that keeps a share, of its size."""
+    found = np.moveaxis(white.copy(), axis, 0)
+    fresh = np.sqrt(1 - memory**2)
+    for k in range(1, len(found)):
+        found[k] = memory * found[k - 1] + fresh * found[k]
+    return np.moveaxis(found, 0, axis)
+
+
 def samples(
     rng: np.random.Generator,
     clean: Array,
@@ -710,12 +739,13 @@ def samples(
     states: tuple[str, ...],
     seen: tuple[int, ...],
     drive: Drive | None = None,
+    memory: float = 0.0,
 ) -> dict[str, Any]:
     """What a case has of all runs, (n_runs, n_times, n_states), with the noise that is
     known here: relative to each channel's deviation over the training runs.
     """
     sigma = relative_noise * clean[TRAINING].std(axis=(0, 1))
-    noise = sigma * rng.normal(size=clean.shape)
+    noise = sigma * lasting(rng.normal(size=clean.shape), memory, axis=1)
     names = (states, ("u",) if drive else ())
 
     def shown(y: Array, part: slice, known: dict[str, float] | None = None) -> Any:

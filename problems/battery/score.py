@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import pandas as pd
 
 import phsi_opt as ph
-from problems.battery.ask import CLASS, DETECTED, FALSE, NAME, SILENT
+from problems.battery.ask import CLASS, DETECTED, FALSE, NAME, NOTHING, SILENT
 from problems.battery.draw import KINDS, ROWS
 from problems.tools.intervals import share
 
@@ -49,7 +49,8 @@ def summary_row(label: str, rows: pd.DataFrame) -> Record:
     right = kept["right"].astype(bool)
     is_tie = kept["tie_true"] & ~right
     # Where there is an effect to add; without one there is nothing after it.
-    has_effect = right & ~kept["row"].isin(["nothing", "outside"])
+    kinds = kept["row"].map(lambda name: ROWS[name].kind)
+    has_effect = right & ~kinds.isin([*NOTHING, "outside"])
     after = kept.loc[has_effect, "after"].dropna()
     return {
         "row": label,

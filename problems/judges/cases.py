@@ -26,8 +26,11 @@ IN_ROUND = {
     "sensor": 1,
     "tanks": 2,
     "two": 3,
+    "three": 3,
+    "shaken": 3,
     "outside": 6,
     "nothing": 3,
+    "lasting": 3,
     "machine": 3,
     "complete": 6,
 }
@@ -36,8 +39,11 @@ IN_VERDICTS = {
     "sensor": 3,
     "tanks": 4,
     "two": 9,
+    "three": 0,
+    "shaken": 0,
     "outside": 15,
     "nothing": 10,
+    "lasting": 0,
     "machine": 6,
     "complete": 18,
 }
