@@ -64,6 +64,46 @@ def test_two_open_directions_are_named_apart_however_their_eigenvectors_are_mixe
     ]
 
 
+@pytest.mark.parametrize(("predicts", "said"), [
+    (lambda c: np.array([c[0] + c[1], 0.3]), "c0, c1: fix one of them"),
+    (lambda c: np.array([c[0] * c[1], 0.3]), "only c0*c1 is identifiable"),
+])  # fmt: skip
+def test_a_sum_of_equal_parts_is_not_called_a_product(predicts, said: str) -> None:
+    theta = np.array([2.0, 2.0])
+    root = np.outer(np.ones(3), [1.0, 1.0])
+    information = regularized_inverse(root.T @ root)
+    (sentence,) = silent_directions(NAMES, theta, information, (), predicts).sentences
+    assert said in sentence
+
+
+@pytest.mark.parametrize("loss", [ph.PHSILoss(), ph.MaximumLikelihood()])
+def test_a_stiffness_beside_a_linear_force_is_told_as_no_product(loss) -> None:
+    """The sum of both is what the data tell, at whatever sizes a fit ends."""
+    t = np.arange(0.0, 8.0, 0.05)
+    x = np.c_[np.cos(2 * t), -2 * np.sin(2 * t)]
+    x += 0.01 * np.random.default_rng(3).standard_normal(x.shape)
+    data = ph.Measurements.from_arrays(t, x, states=["q", "p"])
+    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0))
+    force = {"p": ph.formula("-c*q", c=ph.Parameter(2.0))}
+    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy, F=force)
+    (note,) = [one for one in ph.identify(model, data, loss).warnings if "k, c" in one]
+    assert note == "the data cannot distinguish k, c: fix one of them to a known value"
+    fit = ph.identify(model, data, loss, l1=1e-3)  # has no standard errors, but ends
+    assert fit.success
+
+
+def test_intervals_by_steps_on_clean_data_hold_what_the_steps_miss() -> None:
+    t = np.arange(0.0, 20.0, 0.4)
+    x = np.c_[np.cos(2 * t), -2 * np.sin(2 * t)]
+    data = ph.Measurements.from_arrays(t, x, states=["q", "p"])
+    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(3.0))
+    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy)
+    fit = ph.identify(model, data, ph.PHSILoss())
+    missed = abs(fit.values["k"] - 4.0)
+    assert missed > 1e-3
+    assert missed == pytest.approx(fit.std_errors["k"], rel=0.3)
+
+
 # ---- the profile likelihood
 
 

@@ -49,6 +49,7 @@ from phsi_opt.transcription.defects import parameter_slopes
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.sensors import outputs
 
 MOST_SOLVES = 5  # each followed by better sizes
 
@@ -196,6 +197,12 @@ class LikelihoodEstimate(Estimate):
         at_bounds = self.solution.outcome.at_bounds
         return [i for i, name in enumerate(self.unknown.names) if name in at_bounds]
 
+    @cached_property
+    def moving(self) -> np.ndarray:
+        """Places of the others, without as many as the data cannot tell from others."""
+        stays = [*self.held, *self.uncertainty_at_optimum().silent.pinned]
+        return np.setdiff1d(np.arange(len(self.theta)), stays)
+
     @property
     def plain_search(self) -> DisturbanceSearch:
         """The search on the record linearised here, an interval between samples."""
@@ -210,10 +217,9 @@ class LikelihoodEstimate(Estimate):
         shape = (problem.n_trajectories, len(self.sigma))
         measured = problem.grid.measured_states
         scatter = scatter_by_run(self.task.data)
-        stays = [*self.held, *self.uncertainty.silent.pinned]
         return DisturbanceSearch(
             problem=problem,
-            moving=np.setdiff1d(np.arange(len(self.theta)), stays),
+            moving=self.moving,
             plain=np.broadcast_to(self.sigma, shape).copy(),
             scatter=np.where(self.is_known, self.sigma, scatter),
             channels=tuple(np.flatnonzero(measured & ~self.is_known).tolist()),

@@ -170,9 +170,9 @@ def _visible_share(estimate: LikelihoodEstimate, error: np.ndarray) -> float:
     # values.
     system = estimate.reduced
     likelihood = system.likelihood
-    if estimate.held:
-        moving = np.setdiff1d(likelihood.moving, estimate.held)
-        system = likelihood.with_moving(moving).at(system.disturbances, REGULAR)
+    if len(estimate.moving) < len(likelihood.moving):
+        likelihood = likelihood.with_moving(estimate.moving)
+        system = likelihood.at(system.disturbances, REGULAR)
     no_errors = np.zeros((system.problem.n_values, 1))
     shift, theta_shift = system.solve(no_errors, error.reshape(-1, 1))
     squared_shift = float(np.sum(theta_shift * (system.information @ theta_shift)))
