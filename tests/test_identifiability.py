@@ -89,7 +89,7 @@ def test_a_stiffness_beside_a_linear_force_is_told_as_no_product(loss) -> None:
     (note,) = [one for one in ph.identify(model, data, loss).warnings if "k, c" in one]
     assert note == "the data cannot distinguish k, c: fix one of them to a known value"
     fit = ph.identify(model, data, loss, l1=1e-3)  # has no standard errors, but ends
-    assert fit.success
+    assert fit.outcome.success
 
 
 def test_intervals_by_steps_on_clean_data_hold_what_the_steps_miss() -> None:
