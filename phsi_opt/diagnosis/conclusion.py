@@ -197,9 +197,6 @@ class _Judge:
         one = self.candidates[place]
         if one.fit is not None:
             return self.refits[one.name]
-        if not one.size.z >= SURE_DEVIATIONS:
-            self.note(place, lost=UNSURE.format(one.size))
-            return None
         larger = self.refitted(one, thorough)
         if isinstance(larger, str):
             self.note(place, lost=larger)

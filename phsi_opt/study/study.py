@@ -4,8 +4,9 @@ It stops when no further effect is decisive, and says why.
 """
 
 import datetime as dt
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -304,7 +305,7 @@ class Study(Summarised):
         return self._take(f"without {known}", kept, self._fit_with(kept))
 
     def undo(self) -> Fit:
-        """Undo the last step, with all effects that it added; return the previous fit.
+        """Undo the last step, with the effect that it added; return the previous fit.
 
         Raises:
             ModelError: the study is at its base model.
@@ -369,12 +370,13 @@ class Study(Summarised):
                 proposed = diagnosis.strong
             if not proposed:
                 return self._stop(said)
+            earlier = self.added
             try:
                 self._add_all(proposed, diagnosis.proposed_fit)
             except SolveError as error:
                 which = enumerated(map(str, proposed))
                 return self._stop(f"{said}; {which} could not be added: {error}")
-            self._check_earlier()
+            self._check_earlier(earlier)
         return self._stop(
             f"the limit of {max_steps} steps was reached; call auto again to continue"
         )
@@ -489,22 +491,26 @@ class Study(Summarised):
         return tuple(known for known in self.added if known is not effect)
 
     def _add_all(self, effects: tuple[Effect, ...], fit: Fit | None) -> Fit:
-        """Add effects in one step; of several, each was needed beside the other."""
+        """Add effects that were fitted together, a step each, worth most first."""
         if fit is None:
             return self.add(effects[0])
-        label = enumerated(map(str, effects))
-        self._say(f"adding {label}")
+        self._say(f"adding {enumerated(map(str, effects))}")
         added = (*self.added, *effects)
+        label = str(effects[-1])
         present = self.record.present
+        for effect in effects[:-1]:
+            with suppress(SolveError):  # such a path has a step less
+                larger = (*self.added, effect)
+                self._take(str(effect), larger, self._fit_with(larger, BRIEF))
         first = present.ranking[0] if present else None
         if first is None or first.fit is not fit or first.trained is None:
             return self._take(label, added, fit)
         judged = None if self.held_out is None else first.comparison
         return self._go_on(Step(label, added, fit, first.trained, judged))
 
-    def _check_earlier(self) -> None:
+    def _check_earlier(self, earlier: Sequence[Effect]) -> None:
         record = self.record
-        for effect in self.record.steps[-2].added:
+        for effect in earlier:
             kept = self._without(effect)
             try:
                 fit = self._fit_with(kept, BRIEF)
