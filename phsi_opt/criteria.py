@@ -54,10 +54,7 @@ EXPLAINED_IF_NAMED = 0.97
 # Share of what the likeliest effect so far was expected to gain, and has gained, below
 # which no other is weighed: gains that were expected and weighed differ by up to three.
 FAR_BEHIND = 0.2
-# Effects that are weighed, at most, and at least where none gains: beside a force that
-# does nearly everything screening expects too little. Effects of one class that are
-# re-fitted.
-FEWEST_WEIGHED = 5
+# Effects that are weighed, at most; of one class that are re-fitted.
 MOST_WEIGHED = 12
 MOST_REFITTED = 3
 # Share of the squared error above the noise floor that does as well: of the force on a

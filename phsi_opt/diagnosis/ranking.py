@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from phsi_opt.criteria import FAR_BEHIND, FEWEST_WEIGHED, MOST_WEIGHED, STRONG_EVIDENCE
+from phsi_opt.criteria import FAR_BEHIND, MOST_WEIGHED, STRONG_EVIDENCE
 from phsi_opt.diagnosis.candidate import Candidate, at_limit
 from phsi_opt.diagnosis.refit import DiagnosedModel, refit
 from phsi_opt.errors import SolveError
@@ -135,8 +135,7 @@ def _ranked_beside(
     base.say(f"screening {len(effects)} candidate effects")
     screened = screened_beside(LinearizedRecord.beside_force(record), effects)
     ranking = Ranking(record, {str(one.effect): one for one in screened})
-    n_gaining = sum(one.gain > 0 for one in screened)
-    chosen = screened[: int(np.clip(n_gaining, FEWEST_WEIGHED, MOST_WEIGHED))]
+    chosen = [one for one in screened if one.gain > 0][:MOST_WEIGHED]
     cases = {str(place): one for place, one in enumerate(chosen)}
     highest = 0.0
     worth = -np.inf
