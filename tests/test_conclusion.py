@@ -79,6 +79,7 @@ class Case:
     base: DiagnosedModel = field(default_factory=lambda: fitted(run(10.0)))
     # The re-fit with each effect, by name; None where it fails.
     larger: Mapping[str, DiagnosedModel | None] = field(default_factory=dict)
+    std_errors: Mapping[str, float] = field(default_factory=dict)  # of re-fits
     # A re-fit made thorough, where it is another.
     thorough: DiagnosedModel | None = None
     # What is decisive only from a second place.
@@ -111,13 +112,16 @@ class Case:
         monkeypatch.setattr(
             conclusion, "thorough_refit", lambda larger: self.thorough or larger
         )
-        monkeypatch.setattr(conclusion, "fitted_size", lambda *_: Size(2.1, 0.2, "N"))
+        monkeypatch.setattr(conclusion, "fitted_size", self.size)
         effects = [DAMPER, FRICTION, PUSH, SPRING, WAVE, OFFSET]
         evidence: Any = record
         return conclusion.concluded(self.base, evidence, effects)
 
     def refit(self, base: DiagnosedModel, one: Candidate) -> DiagnosedModel | None:
         return self.larger.get(one.name, fitted(run(1.05, p=0.5)))
+
+    def size(self, model: ph.Model, fit: ph.Fit, effect: ph.Effect) -> Size:
+        return Size(2.1, self.std_errors.get(str(effect), 0.2), "N")
 
     def search(self) -> Any:
         found = []
@@ -247,26 +251,25 @@ def test_an_effect_whose_re_fit_fails_gives_way_to_the_next(monkeypatch) -> None
     at_bound.fit.names = ("viscous_damping_p",)
     at_bound.fit.model = MODEL.add(DAMPER)
     at_bound.fit.outcome.at_bounds = ("viscous_damping_p",)
-    small = replace(candidate(PUSH, 20.0), std_error=1.1)
     tied = [
-        small,
+        candidate(PUSH, 20.0),
         candidate(DAMPER, 19.5),
         candidate(SPRING, 19.2),
         candidate(OFFSET, 19),
     ]
-    case = Case(tied, larger={str(DAMPER): fitted(at_bound), str(SPRING): None})
-    found = case.concluded(monkeypatch)
+    small = {str(PUSH): 1.1}  # whatever its size was beside a force
+    larger = {str(DAMPER): fitted(at_bound), str(SPRING): None}
+    found = Case(tied, larger=larger, std_errors=small).concluded(monkeypatch)
     assert [one.effects for one in found.findings] == [(OFFSET,)]
     assert lost(found) == {
         "sensor offset on q": "",
-        "constant force on p": "its size, 2.0 +- 1.1, does not differ significantly from zero",
+        "constant force on p": "its size, 2.1 +- 1.1 N, does not differ significantly from zero",
         "viscous damping on p": (
             "the data do not determine it: viscous damping on p ends at a limit of its range"
         ),
         "cubic stiffness on p": "could not be re-fitted",
     }
-    assert replace(small, std_error=1.0).size.z == 2.0
-    kept = Case([replace(small, std_error=1.0)]).concluded(monkeypatch)
+    kept = Case(tied[:1], std_errors={str(PUSH): 1.05}).concluded(monkeypatch)
     assert kept.verdict == NAMED
 
 
