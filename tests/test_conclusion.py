@@ -133,6 +133,7 @@ class Case:
             run=lambda: None,
             in_order=lambda: found,
             worth=lambda one: dict(zip(map(str, one.effects), one.worth, strict=True)),
+            path=lambda one: one.effects[::-1],
             alike=lambda one, name: self.alike.get(name, []),
         )
 
@@ -315,7 +316,7 @@ def test_effects_are_named_that_explain_enough_together_alone(monkeypatch) -> No
     case = Case(ranking, larger=larger, several=[both], alone=None)
     case = replace(case, alike={str(DAMPER): [FRICTION]})
     found = case.concluded(monkeypatch)
-    # What is worth more comes first, with what the data do not tell from each.
+    # In the order of the search's path, with what the data do not tell from each.
     assert (found.verdict, found.proposed) == (NAMED, (SPRING, DAMPER))
     assert [one.effects for one in found.findings] == [(SPRING,), (DAMPER, FRICTION)]
     assert [str(effect) for effect in found.effects] == list(

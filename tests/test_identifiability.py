@@ -85,7 +85,9 @@ def test_a_stiffness_beside_a_linear_force_is_told_as_no_product(loss) -> None:
     data = ph.Measurements.from_arrays(t, x, states=["q", "p"])
     energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0))
     force = {"p": ph.formula("-c*q", c=ph.Parameter(2.0))}
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy, F=force)
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=energy, F=force
+    )
     (note,) = [one for one in ph.identify(model, data, loss).warnings if "k, c" in one]
     assert note == "the data cannot distinguish k, c: fix one of them to a known value"
     fit = ph.identify(model, data, loss, l1=1e-3)  # has no standard errors, but ends

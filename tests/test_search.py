@@ -88,3 +88,19 @@ def test_an_input_that_acts_late_is_found_from_a_fit_of_its_own() -> None:
     (finding,) = found.findings
     assert str(finding.effects[0]) == "input delay on T"
     assert finding.coefficient == pytest.approx(8.0, abs=0.1)
+
+
+def test_laws_named_together_are_added_one_by_one_as_the_error_falls() -> None:
+    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(3.0, lower=0))
+    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy)
+    train, test = swing(4.0, 41), swing(5.0, 42)
+    study = ph.Study(model, train, held_out=test, effects=list(LAWS[:3]))
+    found = study.diagnose()
+    assert {str(one) for one in found.proposed} == {f"{law} on p" for law in LAWS[:3]}
+    study.add()
+    history = study.history
+    assert list(history["effect"]) == ["base model", *map(str, found.proposed)]
+    assert list(history["held_out_rmse"]) == sorted(history["held_out_rmse"])[::-1]
+    assert study.fit is found.proposed_fit
+    study.undo()
+    assert study.added == found.proposed[:2]

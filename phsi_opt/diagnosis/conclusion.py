@@ -80,8 +80,8 @@ class _Proposal:
     force_left: float  # size of the force over that beside the base
     larger: DiagnosedModel
     is_complete: bool  # whether no force is evident beside the re-fit
-    # Of several effects, by name: the evidence that is lost without each, most first,
-    # and what the data do not tell from it.
+    # Of several effects, by name: the evidence that is lost without each, and what the
+    # data do not tell from it.
     worth: Mapping[str, float] = field(default_factory=dict)
     alike: Mapping[str, Sequence[Effect]] = field(default_factory=dict)
 
@@ -182,7 +182,7 @@ class _Judge:
                 self.base.say(f"{one.name} together are not considered: {larger}")
                 continue
             return _Proposal(
-                tuple(sorted(one.effects, key=lambda effect: -worth[str(effect)])),
+                search.path(one),
                 one.log_evidence,
                 one.force_left,
                 larger,

@@ -145,6 +145,22 @@ class Search:
             worth[name] = one.log_evidence - (rest.log_evidence if rest else 0.0)
         return dict(sorted(worth.items(), key=lambda item: -item[1]))
 
+    def path(self, one: Combination) -> tuple[Effect, ...]:
+        """Its effects, each added to the likeliest model without it and what follows.
+
+        So the error falls from step to step: what is worth most beside all others may
+        do harm alone.
+        """
+        rests = []
+        for effect in one.effects:
+            rest = self._without(one, str(effect))
+            if rest is not None:
+                rests.append((rest.log_evidence, rest, effect))
+        if not rests:
+            return one.effects
+        _, rest, last = max(rests, key=lambda item: item[0])
+        return (*self.path(rest), last)
+
     def alike(self, one: Combination, name: str) -> list[Effect]:
         """Effects that the evidence does not tell from one of a model."""
         found = []

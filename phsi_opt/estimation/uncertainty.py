@@ -285,23 +285,25 @@ def _sentence(
             "value or remove it"
         )
     apart = f"the data cannot distinguish {', '.join(names)}: "
-    if np.all(theta[members] != 0):
+    with np.errstate(divide="ignore", invalid="ignore"):
         relative = change[members] / theta[members]
         size = np.abs(relative)
-        # One factor, in words, unless it is a sum whose parts happen to be of one size.
-        if np.ptp(size) < 0.02 * np.max(size):
-            if predicted is None or not _is_sum(predicted, theta, members[0], change):
-                return apart + _common_factor(names, relative)
+        is_one_factor = np.ptp(size) < 0.02 * np.max(size)
+    # One factor, in words, unless it is a sum whose parts happen to be of one size.
+    if is_one_factor and not _is_sum(predicted, theta, members[0], change):
+        return apart + _common_factor(names, relative)
     return f"{apart}fix one of them to a known value"
 
 
 def _is_sum(
-    predicted: Predictions, theta: np.ndarray, first: int, change: np.ndarray
+    predicted: Predictions | None, theta: np.ndarray, first: int, change: np.ndarray
 ) -> bool:
     """Whether a direction leaves no trace where its first parameter is another, too.
 
     That of a sum is the same everywhere, that of a product or a ratio is not.
     """
+    if predicted is None:
+        return False
     step = change * theta[first] / change[first] / 2
     second = theta.copy()
     second[first] *= 1.5

@@ -184,7 +184,9 @@ MISSPELT = 0.85  # likeness of two words of which one is misspelt
 
 def _hint(name: str, effects: Sequence[Effect]) -> str:
     """Effects of a like name, or with a word in common in one of their names."""
-    names = {one.name: " ".join((one.name, *said_of(one.name).others)) for one in effects}
+    names = {
+        one.name: " ".join((one.name, *said_of(one.name).others)) for one in effects
+    }
     alike = get_close_matches(name.lower(), names, 1, MISSPELT)
     asked = set(name.lower().split())
     if not alike:

@@ -150,12 +150,12 @@ MEMORIES: Mapping[str, Mapping[str, str]] = {
 
 # ---- what people call them -----------------------------------------------------------
 
-# By the name of a law: its odds, what it adds, with c for its coefficient, and its other
-# names. A row of several laws of like names begins as they do. The odds say how often
-# such a thing is met before anything is measured: 4 where three or more of the measured
-# machines that this package was tried on had it (24, in results/measured_stories.md and
-# its tests), 1 where one or two had, or where it is a textbook's usual law, 1/4 where
-# none had and most machines have no reason to.
+# By the name of a law: its odds, what it adds, with c for its coefficient, and its
+# other names. A row of several laws of like names begins as they do. The odds say how
+# often such a thing is met before anything is measured: 4 where three or more of the
+# measured machines that this package was tried on had it (some 24), 1 where one or two
+# had, or where it is a textbook's usual law, 1/4 where none had and most machines have
+# no reason to.
 SAID = """
 viscous damping | 4 | -c {e} | viscous friction, damper, dashpot, linear drag
 laminar pipe friction | 1 | -c {e} | pipe resistance, pipe loss
@@ -214,7 +214,7 @@ sensor gain | 1/4 | sensor + c {x} | calibration, scale error
 sensor drift | 1/4 | sensor + c t | drift
 sensor clipping | 1 | sensor = min(max({x}, -limit), limit) | clipping, saturation
 sensor delay | 1 | sensor = {x}(t - delay) | latency, time delay, filter delay
-"""
+"""  # noqa: E501
 
 
 class Row(NamedTuple):

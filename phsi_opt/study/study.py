@@ -491,7 +491,7 @@ class Study(Summarised):
         return tuple(known for known in self.added if known is not effect)
 
     def _add_all(self, effects: tuple[Effect, ...], fit: Fit | None) -> Fit:
-        """Add effects that were fitted together, a step each, worth most first."""
+        """Add effects that were fitted together, a step each."""
         if fit is None:
             return self.add(effects[0])
         self._say(f"adding {enumerated(map(str, effects))}")

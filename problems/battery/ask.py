@@ -1,8 +1,8 @@
 """One case examined: what the diagnosis says, beside what was hidden.
 
-With hidden effects the first diagnosis answers (of several effects a study), with machines
-of the field a study that goes on by itself. Whatever fails is recorded, and counts as
-wrong or silent.
+With hidden effects the first diagnosis answers (of several effects a study), with
+machines of the field a study that goes on by itself. Whatever fails is recorded, and
+counts as wrong or silent.
 """
 
 import time

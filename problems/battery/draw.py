@@ -59,8 +59,8 @@ SEPARATED = (
 class HiddenRow:
     """What may be hidden, at which noise levels (relative to each channel's deviation).
 
-    ``kind``: "one", "nothing", "lasting" (nothing, in noise that lasts), "two", "three",
-    "shaken" (two beside a random force), "outside", "sensor" or "tanks".
+    ``kind``: "one", "nothing", "lasting" (nothing, in noise that lasts), "two",
+    "three", "shaken" (two beside a random force), "outside", "sensor" or "tanks".
     """
 
     name: str

@@ -33,6 +33,7 @@ from problems.battery.effects import (
     Moment,
     law_of,
 )
+from problems.battery.experiments import MEMORY
 from problems.battery.records import (
     Aim,
     Array,
@@ -50,7 +51,6 @@ from problems.battery.records import (
 # Numbers of effects by the kinds of rows that have several.
 SEVERAL = {"two": 2, "three": 3, "shaken": 2}
 SHAKEN = 0.05  # random force over the spring's, root mean square
-MEMORY = 0.7  # of noise that lasts, from sample to sample
 N_TRAIN = 3
 N_TEST = 2
 N_RUNS = N_TRAIN + N_TEST
