@@ -122,7 +122,12 @@ class ScoreTest:
             best = _refined(part, best)
         if part is not whole:
             best = _best(whole, [best.values])
-        return self._expected(trial, self._with_volume(whole, best), n_tried)
+        new = [name for name in trial.model.free if name not in linearized.model.free]
+        n_values = linearized.likelihood.problem.n_values
+        price = len(new) * float(np.log(n_values)) / 2 + float(np.log(n_tried))
+        if best.regression.drop / 2 > price:  # else there is nothing to be corrected
+            best = self._with_volume(whole, best)
+        return self._expected(trial, best, n_tried, price)
 
     def _with_volume(self, whole: Sensitivities, best: _Point) -> _Point:
         """With the slope of the volume of states and forces in the coefficients.
@@ -176,7 +181,9 @@ class ScoreTest:
             frequency = scanned = None
         return Trial(effect, model, linear, tried, frequency, scanned)
 
-    def _expected(self, trial: Trial, point: _Point, n_tried: int) -> Screened | None:
+    def _expected(
+        self, trial: Trial, point: _Point, n_tried: int, price: float
+    ) -> Screened | None:
         """What is expected of an effect at its best point; None: it leaves no trace."""
         linearized = self.linearized
         found = point.regression
@@ -186,9 +193,6 @@ class ScoreTest:
         of_base = linearized.parameters_with(
             point.change.of_defects, point.change.of_outputs, c
         )
-        new = [name for name in trial.model.free if name not in linearized.model.free]
-        n_values = linearized.likelihood.problem.n_values
-        price = len(new) * float(np.log(n_values)) / 2
         own = {}
         coefficients = dict(zip(trial.linear, c.tolist(), strict=False))
         for name, value in (point.values | coefficients).items():
@@ -202,7 +206,7 @@ class ScoreTest:
             model=trial.model,
             coefficient=coefficient,
             std_error=std_error,
-            gain=max(found.drop, 0.0) / 2 - price - float(np.log(n_tried)),
+            gain=max(found.drop, 0.0) / 2 - price,
             n_tried=n_tried,
             values={**of_base, **own},
         )
