@@ -86,10 +86,10 @@ def test_no_size_is_told_that_is_a_million_times_the_motion(drag, name) -> None:
     change = sensitivities({})
     trace = sensitivities.traces([change])
     point = _Point({}, change, trace, Regression(np.array([1.0]), 1.0, np.eye(1)))
-    found = screen._expected(trial, point, 1)
+    found = screen._expected(trial, point, 1, 0.0)
     assert (found.coefficient, found.std_error) == (1.0, 1.0)
     regression = replace(point.regression, coefficients=np.array([2e8]))
-    found = screen._expected(trial, replace(point, regression=regression), 1)
+    found = screen._expected(trial, replace(point, regression=regression), 1, 0.0)
     assert np.isnan([found.coefficient, found.std_error]).all()
 
 
@@ -149,13 +149,14 @@ def test_each_step_is_told_and_an_executor_weighs_the_candidates(drag) -> None:
     fit, data, _ = drag
     said: list[str] = []
     counted: Any = Counted()
-    effects = ["quadratic drag", "cubic stiffness"]
+    effects = ["quadratic drag", "cubic drag", "cubic stiffness"]
     ph.diagnose(fit, data, effects=effects, progress=said.append, executor=counted)
     assert said == [
         "estimating what is missing",
         "estimating what is missing together with the model",
-        "screening 2 candidate effects",
+        "screening 3 candidate effects",
         "computing the evidence of quadratic drag on p",
+        "computing the evidence of cubic drag on p",
         "re-fitting with quadratic drag on p",
     ]
     assert len(counted.begun) > 0

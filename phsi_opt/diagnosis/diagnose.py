@@ -9,6 +9,7 @@
 """
 
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import replace
 
 from phsi_opt.arguments import typed
@@ -17,7 +18,7 @@ from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.conclusion import concluded, without_evidence
-from phsi_opt.diagnosis.ranking import ranked
+from phsi_opt.diagnosis.ranking import ranked, weighed_of
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import DiagnosedModel, held_base, refit
 from phsi_opt.errors import ModelError, SolveError
@@ -142,11 +143,15 @@ def candidate_of(
     """
     _check_effects([effect], trained.fit.model)
     base = DiagnosedModel.of(trained, None, loss)
-    found = ranked(base, base.evidence_record(), [effect]).candidates
-    if not found:
-        return None
-    larger = refit(base, found[0])
-    return found[0] if larger is None else replace(found[0], fit=larger.fit)
+    ranking = ranked(base, base.evidence_record(), [effect])
+    for one in ranking.screened.values():
+        if not ranking.weighed:
+            with suppress(SolveError):
+                ranking.take(base, one, weighed_of(ranking.record, one, base.say))
+        found = ranking.candidates[0]
+        larger = refit(base, found)
+        return found if larger is None else replace(found, fit=larger.fit)
+    return None
 
 
 def _check_effects(effects: list[Effect], model: Model) -> None:
