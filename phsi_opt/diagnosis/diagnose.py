@@ -144,14 +144,15 @@ def candidate_of(
     _check_effects([effect], trained.fit.model)
     base = DiagnosedModel.of(trained, None, loss)
     ranking = ranked(base, base.evidence_record(), [effect])
-    for one in ranking.screened.values():
-        if not ranking.weighed:
-            with suppress(SolveError):
-                ranking.take(base, one, weighed_of(ranking.record, one, base.say))
-        found = ranking.candidates[0]
-        larger = refit(base, found)
-        return found if larger is None else replace(found, fit=larger.fit)
-    return None
+    one = ranking.screened.get(str(effect))
+    if one is None:
+        return None
+    if not ranking.weighed:
+        with suppress(SolveError):
+            ranking.take(base, one, weighed_of(ranking.record, one, base.say))
+    found = ranking.candidates[0]
+    larger = refit(base, found)
+    return found if larger is None else replace(found, fit=larger.fit)
 
 
 def _check_effects(effects: list[Effect], model: Model) -> None:

@@ -146,10 +146,10 @@ class Search:
         return dict(sorted(worth.items(), key=lambda item: -item[1]))
 
     def path(self, one: Combination) -> tuple[Effect, ...]:
-        """Its effects, each added to the likeliest model without it and what follows.
+        """Its effects in an order in which the error falls.
 
-        So the error falls from step to step: what is worth most beside all others may
-        do harm alone.
+        The last is the one without which the others are likeliest, and so on with
+        these: what is worth most beside all others may do harm alone.
         """
         rests = []
         for effect in one.effects:

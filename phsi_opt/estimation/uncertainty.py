@@ -2,8 +2,8 @@
 
 By `MaximumLikelihood` the covariance is the inverse of the information; by `PHSILoss`,
 whose residuals are not independent, it is a sandwich, and the shift by the scheme's own
-error counts as one standard deviation. A parameter at a bound, and one
-of which the data say nothing, gets NaN: no number is given that is not trusted.
+error counts as one standard deviation. A parameter at a bound, and one of which the
+data say nothing, gets NaN: no number is given that is not trusted.
 
 The data say nothing of a direction of the scaled parameters where only the ridge of the
 covariance holds it, where rounding errors alone tell it, or where several parameters
@@ -33,7 +33,7 @@ OPEN_FACTOR = 2
 # Share of what one parameter alone changes in the predictions, below which nothing is.
 NO_CHANGE = 1e-3
 
-# Of scaled parameters (n_theta,), a number per value.
+# A function of parameters (n_theta,): what they predict, one number per value.
 Predictions = Callable[[np.ndarray], np.ndarray]
 
 

@@ -24,6 +24,7 @@ from problems.battery.records import (
     Array,
     Truth,
     integrated,
+    lasting,
     log_uniform,
     measurements,
     runge_kutta,
@@ -187,10 +188,7 @@ def disturbance(
     if kind == RANDOM_FORCE:
         time = float(log_uniform(rng, *TIMES)) * e.time
         memory = np.exp(-(e.t[1] - e.t[0]) / time)
-        news = rng.normal(size=(len(e.t), e.n_runs))
-        values = news.copy()
-        for k in range(1, len(e.t)):
-            values[k] = memory * values[k - 1] + np.sqrt(1 - memory**2) * news[k]
+        values = lasting(rng.normal(size=(len(e.t), e.n_runs)), memory)
         force = rms * (values / np.sqrt(np.mean(values[e.kept] ** 2)))
         return lambda t, x: linear_between(force, e.t, t)
     x = motion.x[e.kept]
@@ -251,10 +249,7 @@ def measured(
     """Training runs and those held out, with noise."""
     kept = e.kept
     training = e.training(motion.x)
-    news = rng.normal(size=motion.x.shape)
-    noise = news.copy()
-    for k in range(1, len(e.t)):
-        noise[k] = how.memory * noise[k - 1] + np.sqrt(1 - how.memory**2) * news[k]
+    noise = lasting(rng.normal(size=motion.x.shape), how.memory)
     sizes = np.full(e.n_runs, how.noise)
     if how.is_uneven:
         sizes[0::2] /= np.sqrt(UNEVEN)

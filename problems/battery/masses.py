@@ -42,6 +42,7 @@ from problems.battery.records import (
     Trial,
     Truth,
     integrated,
+    lasting,
     log_uniform,
     measurements,
     runge_kutta,
@@ -716,19 +717,10 @@ def _shaking(rng: np.random.Generator, s: Setting) -> Drive:
     h = float(s.t[1]) / steps
     keep = np.exp(-2 * np.pi * h / s.period)
     innovations = rng.normal(size=(N_RUNS, steps * len(s.t) + 1))
-    values = lasting(innovations, keep)
+    values = lasting(innovations, keep, axis=1)
     at = s.machine.pushed
     spring = s.machine.stiffness[at] * np.sqrt(np.mean(s.nominal[..., at] ** 2))
     return Drive(h, SHAKEN * spring * values, "linear")
-
-
-def lasting(white: Array, memory: float, axis: int = -1) -> Array:
-    """White noise (n_runs, n_samples, ...) as one that keeps a share, of its size."""
-    found = np.moveaxis(white.copy(), axis, 0)
-    fresh = np.sqrt(1 - memory**2)
-    for k in range(1, len(found)):
-        found[k] = memory * found[k - 1] + fresh * found[k]
-    return np.moveaxis(found, 0, axis)
 
 
 def samples(

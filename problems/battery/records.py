@@ -94,6 +94,15 @@ def log_uniform(
     return np.exp(rng.uniform(np.log(low), np.log(high), size))
 
 
+def lasting(white: Array, memory: float, axis: int = 0) -> Array:
+    """White noise as one of the same size that keeps a share from sample to sample."""
+    found = np.moveaxis(white.copy(), axis, 0)
+    fresh = np.sqrt(1 - memory**2)
+    for k in range(1, len(found)):
+        found[k] = memory * found[k - 1] + fresh * found[k]
+    return np.moveaxis(found, 0, axis)
+
+
 def measurements(
     times: Sequence[Array],
     states: Sequence[Array],
