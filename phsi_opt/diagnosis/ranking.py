@@ -7,9 +7,14 @@ from functools import partial
 
 import numpy as np
 
-from phsi_opt.criteria import FAR_BEHIND, MOST_WEIGHED, STRONG_EVIDENCE
+from phsi_opt.criteria import (
+    FAR_BEHIND,
+    LEAST_FINDING,
+    MOST_WEIGHED,
+    STRONG_EVIDENCE,
+)
 from phsi_opt.diagnosis.candidate import Candidate, at_limit
-from phsi_opt.diagnosis.refit import DiagnosedModel, refit
+from phsi_opt.diagnosis.refit import DiagnosedModel, fitted_by_steps
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import said_of
@@ -167,27 +172,22 @@ def _ranked_beside(
 def rank_again(
     base: DiagnosedModel, ranking: Ranking, effects: Sequence[Effect]
 ) -> None:
-    """Weigh what leads from a second place; the likelier of both counts.
+    """Weigh what leads without a force from a fit of its own; the likelier counts.
 
     Where a force does nearly everything, screening beside it sees little, and a search
-    that begins beside it may end anywhere. So what leads this list, and the list of the
-    base without a force, is weighed from the free run of a fit of its own too.
+    that begins beside it may end anywhere. So what leads the list of the base without
+    a force is weighed from the free run of its own fit too, if this explains anything.
     """
     base.say("weighing the most likely effects from their own fits")
     hard = screened_beside(LinearizedRecord.without_force(base.record), effects)
-    known = ranking.screened | {str(one.effect): one for one in hard}
-    first = [str(one.effect) for one in hard[:MOST_LEADERS]]
-    second = [one.name for one in ranking.candidates[:MOST_LEADERS]]
-    for name in dict.fromkeys(first + second):
-        one = known[name]
-        if name not in ranking.weighed:
-            with suppress(SolveError):
-                ranking.take(base, one, weighed_of(ranking.record, one, base.say))
-        larger = refit(base, _expected(base, one, ""))
-        if larger is not None:
-            with suppress(SolveError):
-                weighed = ranking.record.fitted(larger.comparisons, has_force=True)
-                ranking.take(base, one, weighed)
+    for one in hard[:MOST_LEADERS]:
+        ranking.screened.setdefault(str(one.effect), one)
+        larger = fitted_by_steps(base, _expected(base, one, ""))
+        if larger is None or not base.share_explained(larger) > LEAST_FINDING:
+            continue
+        with suppress(SolveError):
+            weighed = ranking.record.fitted(larger.comparisons, has_force=True)
+            ranking.take(base, one, weighed)
     ranking.candidates = _in_order(ranking.candidates)
 
 

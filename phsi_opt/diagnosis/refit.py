@@ -37,10 +37,13 @@ from phsi_opt.errors import PhsiOptError, SolveError, some_of
 from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import fit_of_task, identify
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
+from phsi_opt.estimation.maximum_likelihood import from_fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import Effect, is_delay, is_scanned
 from phsi_opt.model.model import Model
+from phsi_opt.model_error.joint_estimate import STEPS_OF_A_PROBLEM
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.presentation.numbers import change_words, decimal
 from phsi_opt.presentation.units import spaced
@@ -278,6 +281,17 @@ def refit(base: DiagnosedModel, candidate: WeighedEffects) -> DiagnosedModel | N
         return None
 
 
+def fitted_by_steps(
+    base: DiagnosedModel, candidate: WeighedEffects
+) -> DiagnosedModel | None:
+    """The same where a few steps lead to an optimum, which may be a worse one."""
+    try:
+        fit = Refitting(base, candidate).by_steps()
+        return base.with_run(compare_record(base.record.refitted(fit)))
+    except PhsiOptError:
+        return None
+
+
 def is_worse(larger: Fit, smaller: Fit) -> bool:
     """Whether a larger model fits worse than the smaller one that it contains."""
     return deviance(larger) > deviance(smaller) + OTHER_OPTIMUM_DEVIANCE
@@ -317,6 +331,7 @@ class Refitting:
         known = {name: value for name, value in values if name in free}
         self.model = model.with_values(known)
         self.aligned = base.record.aligned.for_model(self.model)
+        self.task = Task(self.model, self.aligned, l1_weights(None), None, BRIEF)
 
     def begun(self) -> Fit:
         """The brief re-fit from where the effect was weighed.
@@ -324,6 +339,31 @@ class Refitting:
         Raises:
             PhsiOptError: the model cannot be fitted.
         """
+        loss = self.base.loss
+        fit = self._no_worse(fit_of_task(loss, self.task, self.start))
+        corners = tuple(corner_widths(fit.model))
+        if not corners:
+            return fit
+        return fit_of_task(
+            loss, replace(self.task, model=fit.model, corners=corners), fit
+        )
+
+    def by_steps(self) -> Fit:
+        """The optimum to which a few full steps lead.
+
+        Raises:
+            PhsiOptError: they lead to none.
+        """
+        problem = LikelihoodProblem.of(self.task, self.base.loss)
+        there = from_fit(problem, self.start)
+        found = problem.solve(there, most_steps=STEPS_OF_A_PROBLEM)
+        if not found.is_success:
+            raise SolveError(f"steps led nowhere: {found.solution.outcome}")
+        return found.fit()
+
+    @property
+    def start(self) -> Fit:
+        """The base, in the states beside which the effects were weighed."""
         base = self.base
         estimate = base.record.estimate
         model = base.fit.model
@@ -336,22 +376,15 @@ class Refitting:
         # as the samples.
         has_memory = any(effect.memory for effect in self.candidate.effects)
         refinement = 2 if has_memory else 1
-        start = replace(
+        return replace(
             base.fit,
             model=model.with_values(known),
             states=estimate.grid.split(states[:, : model.n_states]),
             noise=base.trained.noise,
             steps=tuple(refinement * steps for steps in base.fit.steps),
         )
-        task = Task(self.model, self.aligned, l1_weights(None), None, BRIEF)
-        fit = self._no_worse(task, fit_of_task(base.loss, task, start))
-        corners = tuple(corner_widths(fit.model))
-        if not corners:
-            return fit
-        task = replace(task, model=fit.model, corners=corners)
-        return fit_of_task(base.loss, task, fit)
 
-    def _no_worse(self, task: Task, fit: Fit) -> Fit:
+    def _no_worse(self, fit: Fit) -> Fit:
         """A fit that is as good as the base, begun elsewhere where it must be.
 
         Raises:
@@ -365,7 +398,7 @@ class Refitting:
         if not is_worse(fit, base.fit):
             return fit
         small = with_no_size(base.fit.model, *self.candidate.effects)
-        fit = fit_of_task(base.loss, replace(task, model=small), base.fit)
+        fit = fit_of_task(base.loss, replace(self.task, model=small), base.fit)
         if is_worse(fit, base.fit):
             raise SolveError("no fit was found that is as good as the one without it.")
         return fit

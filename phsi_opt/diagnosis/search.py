@@ -1,14 +1,15 @@
 """A search over models: sets of effects, compared by their evidence beside a force.
 
-A beam of the likeliest models goes on from round to round. Screening beside the force
-of each tells what every further effect promises, and models are weighed in that order
-until none promises to come near the likeliest. A new likeliest model gives back each of
-its effects by turns, as the first may have stood in for what was found later.
-Where the likeliest model is as likely without a force nothing is left to be found, and
-only exchanges of one effect go on. A search ends where it finds no likelier model.
+The likeliest model is enlarged by one effect: screening beside its force tells what
+every further effect promises, and models are weighed in that order until none promises
+to come near the likeliest. Where that finds no likelier model the next likeliest one is
+enlarged. A new likeliest model gives back each of its effects by turns, as the first
+may have stood in for what was found later. Where it is as likely without a force
+nothing is left to be found, and only exchanges of one effect go on. A search ends where
+three models were enlarged in vain.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -29,7 +30,7 @@ from phsi_opt.screening.score_test import Screened
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.sweeps.sweep import Progress, ahead
 
-BEAM_WIDTH = 3  # models that go on from a round
+MOST_IN_VAIN = 3  # models that are enlarged in a row and lead to no likelier one
 MOST_EFFECTS = 4  # of one model
 
 
@@ -97,30 +98,35 @@ class Search:
                 self._take((one.effect,), {one.name: price}, weighed)
 
     def run(self) -> None:
-        """Enlarge the likeliest models, as long as that finds a likelier one."""
+        """Enlarge the likeliest models, until some in a row find no likelier one."""
         enlarged: set[frozenset[str]] = set()
-        last = None
-        while self.known:
-            models: list[Combination | None] = [*self.in_order()]
-            best = models[0]
-            if best is None or best is last:
+        models: list[Combination | None] = [*self.in_order()]
+        n_in_vain = 0
+        while n_in_vain < MOST_IN_VAIN:
+            may_gain = (one for one in models if one and self._may_gain(one, enlarged))
+            one = next(may_gain, None)
+            if one is None:
                 return
-            if last is not None and self._is_complete(best):
-                # No further effect can gain; another in place of one of them may.
-                models = [self._without(best, str(effect)) for effect in best.effects]
-            last = best
-            beam = []
-            for one in filter(None, models):
-                if one.key not in enlarged and len(one.effects) < MOST_EFFECTS:
-                    beam.append(one)
-            beam = beam[:BEAM_WIDTH]
-            enlarged.update(one.key for one in beam)
-            self._enlarge(beam)
+            best = self.in_order()[0]
+            enlarged.add(one.key)
+            self._enlarge(one)
             found = self.in_order()[0]
-            if found is not best:
-                # What was found first may have stood in for what came after.
-                for name in map(str, found.effects):
-                    self._without(found, name)
+            n_in_vain += 1
+            if found is best:
+                continue
+            n_in_vain = 0
+            # What was found first may have stood in for what came after.
+            rests = [self._without(found, str(effect)) for effect in found.effects]
+            models = [*self.in_order()]
+            if models[0] is found and self._is_complete(found):
+                # No further effect can gain; another in place of one of them may.
+                models = rests
+
+    @staticmethod
+    def _may_gain(one: Combination, enlarged: Collection[frozenset[str]]) -> bool:
+        """Whether a model is likelier than the base, and may have a further effect."""
+        is_new = one.key not in enlarged and len(one.effects) < MOST_EFFECTS
+        return is_new and one.log_evidence > 0
 
     def _is_complete(self, one: Combination) -> bool:
         """Whether a model is as likely without any force."""
@@ -172,20 +178,17 @@ class Search:
                 found += [effect for effect in other.effects if str(effect) in others]
         return found
 
-    def _enlarge(self, models: Sequence[Combination]) -> None:
-        """Weigh models with one effect more, those first of which most is expected.
+    def _enlarge(self, one: Combination) -> None:
+        """Weigh a model with each further effect, the most promising first.
 
         Until none is expected to come near the likeliest one that was found.
         """
-        steps = [step for one in models for step in self._steps(one)]
+        steps = [step for step in self._steps(one) if step.key not in self.known]
         steps.sort(key=lambda step: -step.promise)
-        cases: dict[str, _Step] = {}
-        for step in steps:
-            if step.key not in self.known:
-                cases.setdefault(str(sorted(step.key)), step)
+        cases = {str(step.further.effect): step for step in steps}
         say = self.base.say
         with closing(ahead(_weighed, cases, self.base.executor, say)) as results:
-            for step in cases.values():
+            for step in steps:
                 if step.promise < self.in_order()[0].log_evidence - STRONG_EVIDENCE:
                     return
                 with suppress(SolveError):

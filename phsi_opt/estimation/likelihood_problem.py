@@ -111,7 +111,6 @@ class LikelihoodProblem:
         scatter of the samples, the likelier of this and of the one along the missing
         force.
         """
-        start = replace(start, steps=self._steps(start))
         settings = self.task.settings
         if settings.thorough and not start.is_optimum:
             found = []
@@ -124,12 +123,12 @@ class LikelihoodProblem:
             there = self.continued(start)
             found.append(self.solve(start if there is None else there))
             return likeliest(found)
-        is_near = start.is_optimum and not settings.thorough
-        most_steps = STEPS_OF_A_PROBLEM if is_near else None
+        most_steps = None if settings.thorough else STEPS_OF_A_PROBLEM
         near = self.solve(start, most_steps=most_steps)
         if near.is_success:
             return near
-        there = self.continued(start, SMALL_FORCES if is_near else FORCE_SIZES)
+        is_brief = start.is_optimum and not settings.thorough
+        there = self.continued(start, SMALL_FORCES if is_brief else FORCE_SIZES)
         return near if there is None else self.solve(there, most_steps=most_steps)
 
     def continued(
@@ -227,7 +226,7 @@ class LikelihoodProblem:
     def _values(self, start: StartingPoint) -> LikelihoodValues:
         """The likelihood laid out, its point at the start."""
         model = start.model
-        grid = self.task.aligned.grid_with(start.steps)
+        grid = self.task.aligned.grid_with(self._steps(start))
         unknown = Theta.of(model, self.task.runs)
         parameters = unknown.by_trajectory(start.theta)
         states = np.concatenate(start.states)
