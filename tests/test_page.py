@@ -204,7 +204,7 @@ def test_a_part_that_fails_is_told_and_stops_no_other(
 def test_a_file_whose_reading_never_ends_stops_nobody(
     browser: Browser, tmp_path: Path
 ) -> None:
-    slow = "session.drafts.look_at, session.READ_WITHIN = page_tools.endless, 15.0"
+    slow = "session.drafts.look_at, session.READ_WITHIN = page_tools.endless, 8.0"
     with served(tmp_path, slow) as address:
         page = browser.new_page()
         page.goto(address)
@@ -217,7 +217,7 @@ def test_a_file_whose_reading_never_ends_stops_nobody(
         page.get_by_role("tab", name="1 Data").click()
         told = page.get_by_role("alert")
         assert told.count() == 0, "all of this waited until the reading was ended"
-        expect(told).to_contain_text("reading was ended after 15 s", timeout=180_000)
+        expect(told).to_contain_text("reading was ended after 8 s", timeout=180_000)
 
 
 def held_out_error(page: Page, step: int) -> float:

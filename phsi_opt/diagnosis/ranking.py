@@ -172,16 +172,21 @@ def _ranked_beside(
 def rank_again(
     base: DiagnosedModel, ranking: Ranking, effects: Sequence[Effect]
 ) -> None:
-    """Weigh what leads without a force from a fit of its own; the likelier counts.
+    """Weigh what leads from fits of their own, too; the likelier of both counts.
 
     Where a force does nearly everything, screening beside it sees little, and a search
-    that begins beside it may end anywhere. So what leads the list of the base without
-    a force is weighed from the free run of its own fit too, if this explains anything.
+    that begins beside it may end anywhere. So what leads this list, or the list of the
+    base without a force, is weighed from the free run of its own fit, if this is near
+    and explains anything.
     """
     base.say("weighing the most likely effects from their own fits")
     hard = screened_beside(LinearizedRecord.without_force(base.record), effects)
-    for one in hard[:MOST_LEADERS]:
-        ranking.screened.setdefault(str(one.effect), one)
+    known = ranking.screened | {str(one.effect): one for one in hard}
+    first = [str(one.effect) for one in hard[:MOST_LEADERS]]
+    second = [one.name for one in ranking.candidates[:MOST_LEADERS]]
+    for name in dict.fromkeys(first + second):
+        one = known[name]
+        ranking.screened.setdefault(name, one)
         larger = fitted_by_steps(base, _expected(base, one, ""))
         if larger is None or not base.share_explained(larger) > LEAST_FINDING:
             continue
