@@ -1,5 +1,6 @@
 """What the catalogue offers a model: names, families, and what they need."""
 
+import re
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -144,15 +145,21 @@ def test_losses_and_energies_outside_of_pairs_are_those_of_the_field(kind: str) 
 def test_what_runs_between_two_storages_is_water_or_heat() -> None:
     def between(kind: Any) -> set[str]:
         found = ph.catalogue(replace(two_tanks(), kind=kind))
-        return {str(e) for e in found if " from " in e.name or " with " in e.name}
+        words = {"from", "with", "between"}
+        return {str(e) for e in found if words & set(e.name.split())}
 
     overflows = {"overflow from a on b", "overflow from b on a"}
-    assert between({}) == overflows == between("hydraulic")
+    overflows |= {"spill from a into b", "spill from b into a"}
+    assert between({}) == overflows
+    assert between("hydraulic") == overflows | {"connection between a and b"}
     assert between("thermal") == {
         "heat exchange with a on b",
         "heat exchange with b on a",
+        "exchange of heat between a and b",
     }
-    assert between("mechanical") == set() == between("electrical")
+    laws = ("damper", "dry friction", "gyroscopic coupling")
+    assert between("mechanical") == {f"{law} between a and b" for law in laws}
+    assert between("electrical") == set()
     assert between({"a": "hydraulic", "b": "thermal"}) == set()
 
 
@@ -264,8 +271,7 @@ def test_the_page_of_effects_has_every_name() -> None:
     page = " ".join(text.split())
     for model in MODELS:
         for effect in every_name(model):
-            name, _, _ = effect.name.partition(" with ")
-            name, _, _ = name.partition(" from ")
+            name = re.split(" (?:with|from|between) ", effect.name)[0]
             assert name in page, name
 
 

@@ -412,7 +412,7 @@ def _energy_and_powers(parts: Expressions) -> ca.SX:
     """H, and dH/dt = F . grad H - grad H . R grad H in its two parts, (3,)."""
     efforts = ca.vertcat(*parts.efforts)
     supplied = ca.dot(ca.vertcat(*parts.force), efforts)
-    dissipated = ca.dot(ca.vertcat(*parts.loss), efforts**2)
+    dissipated = ca.dot(ca.vertcat(*parts.losses), efforts)
     return ca.vertcat(parts.energy, supplied, dissipated)
 
 

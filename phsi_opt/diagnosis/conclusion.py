@@ -307,10 +307,10 @@ class _Judge:
         record, model = self.ranking.record, self.base.fit.model
         first = proposal.effects[0]
         name = first.equation
-        equation = model.index(name)
+        equation, *others = model.rows(name)
         alone = record.base
         places = [force.place for force in alone.disturbances.forces]
-        if first.slot == "sensor" or equation not in places:
+        if first.slot == "sensor" or equation not in places or others:
             return ""
         function = record.with_functions(equation)
         if function is None:

@@ -73,7 +73,6 @@ class Ranking:
         within = weighed.covariance[np.ix_(places, places)]
         size = size_of(one.effect, weighed.model, names, weighed.model.values, within)
         size = size.in_unit(size_unit(model, one.effect, base.record.data.units))
-        equation = model.index(one.effect.equation)
         held_out = np.nan
         if base.is_held_out:
             held_out = weighed.log_held_out - alone.log_held_out
@@ -88,7 +87,7 @@ class Ranking:
             log_bayes=gain - self.price(one),
             log_predictive=held_out,
             was_weighed=True,
-            force_left=force_left(weighed, alone, [equation]),
+            force_left=force_left(weighed, alone, model.rows(one.effect.equation)),
         )
 
 

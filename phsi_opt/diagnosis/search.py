@@ -238,7 +238,7 @@ class Search:
             if at_limit(weighed.model, names, weighed.at_bounds):
                 return None
             tried += prices[str(effect)]
-        equations = [base.index(effect.equation) for effect in effects]
+        equations = [row for effect in effects for row in base.rows(effect.equation)]
         found = Combination(
             effects,
             prices,

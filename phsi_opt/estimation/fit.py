@@ -27,6 +27,7 @@ from phsi_opt.estimation.fit_file import (
 )
 from phsi_opt.estimation.identified import DIGITS, Identified
 from phsi_opt.later import Later
+from phsi_opt.model.directions import factors_of
 from phsi_opt.model.laws import parameter_words
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
@@ -646,14 +647,19 @@ def _title(fit: Fit) -> str:
 def equation_lines(fit: Fit) -> list[str]:
     """Structure, terms, and the parameters of formulas by name; a line each.
 
-    Coefficients and inner parameters of a dictionary's terms stand in the terms.
+    Coefficients and inner parameters of a dictionary's terms stand in the terms, those
+    of directions behind them.
     """
     rows = structure_rows(fit.model)
     rows += dictionary_rows(fit.model, partial(_term, fit))
     own = fit.model.names_in_formulas
+    of_directions = set()
+    for placed in fit.model.placed():
+        factors = factors_of(placed.equation, fit.model.states)
+        of_directions |= set(map(placed.parameter_name, factors))
     for name, entry in fit.model.entries.items():
         fixed = " (fixed)" if entry.parameter.fixed else ""
-        if fixed or name in own:
+        if fixed or name in own or name in of_directions:
             told = name if name in own else parameter_words(fit.model, name)
             rows.append(f"{told} = {_estimate(fit, name)}{fixed}")
     rounded = partial(LONG_NUMBER.sub, lambda found: f"{float(found[0]):.{DIGITS}g}")

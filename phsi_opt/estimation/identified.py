@@ -9,7 +9,7 @@ import numpy as np
 
 from phsi_opt.data.checks import Hold
 from phsi_opt.model.model import Model
-from phsi_opt.model.slots import Entry
+from phsi_opt.model.slots import Entry, place_of
 from phsi_opt.model.symbolic import Expressions, argument_symbols
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.presentation.units import scale_of
@@ -93,9 +93,11 @@ class Identified:
                 a dictionary's terms are numbers in any case.
 
         Returns:
-            ``H``, and for every state ``R_<state>``, ``F_<state>`` and the right-hand
-            side ``d<state>/dt``, in the names of states, inputs and ``t``; right-hand
-            sides are multiplied out where that gives no more than `MOST_TERMS` terms.
+            ``H``, and for every state ``R_<state>``, ``F_<state>`` (with what acts
+            along directions) and the right-hand side ``d<state>/dt``; for a direction
+            of R, such as "p1 - p2", ``R_p1_p2``. They are in the names of states,
+            inputs and ``t``; right-hand sides are multiplied out where that gives no
+            more than `MOST_TERMS` terms.
         """
         import sympy as sp
 
@@ -113,9 +115,11 @@ class Identified:
         values |= zip(names, own, strict=True)
         parts = Expressions(model, x, u, t, values, SYMPY)
         expressions = {"H": sp.sympify(parts.energy)}
-        by_state = (model.states, parts.loss, parts.force, parts.rates)
-        for state, loss, force, rate in zip(*by_state, strict=True):
-            expressions[f"R_{state}"] = sp.sympify(loss)
+        for equation in dict.fromkeys((*model.states, *model.R)):
+            loss = sp.sympify(parts.total("R", equation))
+            expressions[place_of("R", equation)] = loss
+        by_state = (model.states, parts.force, parts.rates)
+        for state, force, rate in zip(*by_state, strict=True):
             expressions[f"F_{state}"] = sp.sympify(force)
             is_short = n_expanded(rate) <= MOST_TERMS
             expressions[f"d{state}/dt"] = sp.expand(rate) if is_short else rate

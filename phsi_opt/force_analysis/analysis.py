@@ -174,7 +174,9 @@ def law_answer(analysis: ForceAnalysis, effect: Effect) -> Answer:
     if effect.slot == "sensor":
         return Answer(f"At the sensor of {x}.")
     force = analysis.force_in(x if x in analysis.record.equations else None)
-    names = effect.names | ({effort_of(model, x)} if effect.slot == "R" else set())
+    names = set(effect.names)
+    if effect.slot == "R":
+        names |= {effort_of(model, model.states[row]) for row in model.rows(x)}
     channels = (*model.efforts, *model.states, *model.inputs, "t")
     known = filter(names.__contains__, channels)
     depends = dict.fromkeys(map(partial(plain_name, force), known))

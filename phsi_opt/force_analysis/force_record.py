@@ -156,7 +156,7 @@ class ForceRecord:
 
 
 def _losses(parts: Expressions) -> ca.SX:
-    return -ca.vertcat(*parts.loss) * ca.vertcat(*parts.efforts)
+    return -ca.vertcat(*parts.losses)
 
 
 @dataclass(frozen=True, eq=False)

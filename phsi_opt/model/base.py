@@ -18,6 +18,7 @@ import numpy as np
 from phsi_opt.arguments import is_of, require_known, typed
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.errors import ModelError, did_you_mean, shown
+from phsi_opt.model.directions import direction_parts, normal_direction
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS, delays_in
 from phsi_opt.model.kinds import checked_kinds
@@ -99,14 +100,15 @@ class BaseModel:
     def _read_texts(self) -> None:
         """Turn texts into formulas; names that nothing defines become parameters.
 
-        Equations are put in the order of the states.
+        Equations are put in the order of the states, and directions behind them.
         """
         given: dict[str, dict[str, Any]] = {"R": {}, "H": {"": self.H}}  # R first:
         for slot in BY_EQUATION:  # what is a loss is not negative elsewhere either
-            terms = getattr(self, slot)
-            for name in terms:
-                self.index(name, f"equation of {slot}")
-            given[slot] = {name: terms[name] for name in self.states if name in terms}
+            terms = {}
+            for name, one in getattr(self, slot).items():
+                terms[self._place(slot, name)] = one
+            own = {name: terms.pop(name) for name in self.states if name in terms}
+            given[slot] = own | terms
         known: dict[str, Parameter] = {}
         for terms in chain.from_iterable(map(dict.values, given.values())):
             for term in terms if isinstance(terms, Dictionary) else ():
@@ -114,7 +116,8 @@ class BaseModel:
         for slot, equations in given.items():
             for equation, terms in equations.items():
                 if isinstance(terms, str):
-                    equations[equation] = self.variables.formula(terms, slot, known)
+                    formula = self.variables.formula(terms, slot, equation, known)
+                    equations[equation] = formula
         self._set("H", given.pop("H")[""])
         for slot, equations in given.items():
             self._set(slot, MappingProxyType(equations))
@@ -163,6 +166,26 @@ class BaseModel:
         said = f"{what} {state!r} is not a state of the model"
         require_known(state, self.states, said)
         return self.states.index(state)
+
+    def _place(self, slot: str, equation: Any) -> str:
+        """An equation of a slot, or for R and F a direction as it is kept.
+
+        Raises:
+            ModelError: it is no state, or no sum of states.
+        """
+        is_text = isinstance(equation, str)
+        if is_text and slot != "sensor" and not equation.isidentifier():
+            return normal_direction(equation, self.states)
+        row = self.index(equation, f"equation of {slot}")
+        return self.states[row]
+
+    @typed
+    def rows(self, equation: str) -> tuple[int, ...]:
+        """Positions of the states in whose equations a term acts; "": of none."""
+        if equation in self.states:
+            return (self.states.index(equation),)
+        parts = direction_parts(equation, tuple(self.states)) if equation else ()
+        return tuple(self.states.index(part.state) for part in parts)
 
     def terms_at(self, slot: str, equation: str) -> Dictionary:
         """The terms in a slot of an equation (of the whole model, for H)."""
@@ -258,8 +281,13 @@ class BaseModel:
         if slot == "H":
             changed["H"] = self.H + effect.term
         else:
-            said = f"equation of effect {effect.name!r}: {equation!r} is not a state"
-            require_known(equation, states, f"{said} of the model")
+            if equation.isidentifier() or slot == "sensor":
+                said = (
+                    f"equation of effect {effect.name!r}: {equation!r} is not a state"
+                )
+                require_known(equation, states, f"{said} of the model")
+            else:
+                equation = normal_direction(equation, states)
             terms = dict(changed.get(slot, getattr(self, slot)))
             terms[equation] = terms.get(equation, Dictionary()) + effect.term
             changed[slot] = terms

@@ -17,11 +17,14 @@ import numpy as np
 from phsi_opt.arguments import typed
 from phsi_opt.errors import ModelError, did_you_mean, some_of
 from phsi_opt.model.base import BaseModel
+from phsi_opt.model.directions import normal_direction
 from phsi_opt.model.effect import Effect, EffectList, is_scanned
 from phsi_opt.model.expressions import divisors, names_of
 from phsi_opt.model.kinds import KINDS, RADIANS, ZEROS
 from phsi_opt.model.laws import (
+    BETWEEN,
     ENERGIES,
+    EXCHANGES,
     FORCES,
     HEAT_EXCHANGES,
     INPUTS,
@@ -29,6 +32,7 @@ from phsi_opt.model.laws import (
     LOSSES,
     OVERFLOWS,
     SENSORS,
+    SPILLS,
     Law,
     said_of,
 )
@@ -92,7 +96,7 @@ def effects_told(
         for x in model.states:
             inertias[x] = inertia_of(model, x, units)
     for laws, names in _places(known, units):
-        names = {**names, "inertia": inertias[names["x"]]}
+        names = {"inertia": inertias[names["x"]], **names}
         role = role_of(known, names["x"])
         for law in laws:
             is_of_role = not law.roles or role in law.roles
@@ -129,12 +133,12 @@ def effect_named(
     units: Mapping[str, str] | None = None,
 ) -> Effect:
     """The catalogue's effect of that name."""
+    own = catalogue(model, units)
     before, _, place = name.rpartition(" on ")
     if equation is None and before and place in model.states:
         name, equation = before, place
-    if equation is not None:
+    if equation is not None and equation not in [one.equation for one in own]:
         model.index(equation, f"equation of effect {name!r}:")
-    own = catalogue(model, units)
     found = _called(name, equation, own)
     found = found or _called(name, equation, every_name(model, units))
     if not found:
@@ -252,7 +256,7 @@ def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) ->
     if not is_rate or names_of(term.body) & set(model.variables.slopes):
         return ""
     known = with_kinds_of_units(model, units)
-    x = effect.equation
+    x = known.states[known.rows(effect.equation)[0]]
     if not _has_rates(known, x, units) or inertia_of(known, x, units):
         return ""
     return f" (per {WORDS[role_of(known, x)][-1]})"
@@ -269,7 +273,10 @@ def _places(
             yield INPUTS, names | _names_of_input(model, u, names)
         yield (*ENERGIES, *LASTING), names
     for source, x in permutations(storage_states(model), 2):
-        yield OVERFLOWS, _names_of_source(model, source, x)
+        names = _names_of_source(model, source, x)
+        yield OVERFLOWS, names
+        ratio = {"along": f"{x} - ratio*{source}", "ratio": "ratio", "inertia": ""}
+        yield SPILLS, names | ratio
     for source, x in permutations(model.states, 2):
         if role_of(model, source) is Role.HEAT:
             yield HEAT_EXCHANGES, _names_of_source(model, source, x)
@@ -281,6 +288,14 @@ def _places(
         # Without an energy the masses of the two may be anything.
         if kind_of(model, p1) == kind_of(model, p2):
             yield ENERGIES, {"x": p1, "q1": q1, "q2": q2}
+    forced = [model.states[row] for row in forced_rows(model)]
+    for x1, x2 in combinations(forced, 2):
+        if role_of(model, x1) is role_of(model, x2):
+            names = _names_between(model, x1, x2, units)
+            yield BETWEEN, names
+            if model.has_energy:
+                along = f"dH_d{x2}*{x1} - dH_d{x1}*{x2}"
+                yield EXCHANGES, names | {"along": along}
     for x in model.states:
         if x not in model.memory:
             yield SENSORS, {"x": x}
@@ -341,6 +356,26 @@ def _names_of_source(model: BaseModel, source: str, x: str) -> dict[str, str]:
     """The names of a law by which x gets something from a storage or an input."""
     s_e = source if source in model.inputs else effort_of(model, source)
     return {"x": x, "e": effort_of(model, x), "s": source, "s_e": s_e, "level": s_e}
+
+
+def _names_between(
+    model: BaseModel, x1: str, x2: str, units: Mapping[str, str]
+) -> dict[str, str]:
+    """The names of a law between two states.
+
+    Without an energy, what it adds is divided by what each equation divides forces by;
+    where one does not tell, their ratio is to be found.
+    """
+    difference = f"({effort_of(model, x1)} - {effort_of(model, x2)})"
+    names = {"x": x1, "x1": x1, "x2": x2, "e": difference, "inertia": ""}
+    along = f"{x1} - {x2}"
+    if not model.has_energy:
+        first, second = (inertia_of(model, x, units) for x in (x1, x2))
+        along = f"{x1}/{first} - {x2}/{second}"
+        if not (first and second):
+            names["ratio"] = "ratio"
+            along = f"{x1} - ratio*{x2}"
+    return names | {"along": normal_direction(along, model.states)}
 
 
 # Range of random values for parameters that have none, away from zero.

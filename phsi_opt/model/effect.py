@@ -27,7 +27,8 @@ class Effect:
     Args:
         name: what it is called, such as ``"coulomb friction"``.
         slot: where it acts: ``"H"``, ``"R"``, ``"F"`` or ``"sensor"``.
-        equation: the state in whose equation, or at whose sensor, it acts.
+        equation: the state in whose equation, or at whose sensor, it acts; in R and F
+            also a direction, such as ``"p1 - p2"`` for what acts between two bodies.
         term: what it adds there.
         memory: further states that it needs, such as the lagged input, each with its
             rate of change.
@@ -62,10 +63,17 @@ class Effect:
         object.__setattr__(self, "memory", read_only(self.memory))
 
     def __str__(self) -> str:
-        return f"{self.name} on {self.equation}"
+        return self.name if self.tells_place else f"{self.name} on {self.equation}"
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({str(self)!r})"
+
+    @property
+    def tells_place(self) -> bool:
+        """Whether it acts along a direction of which its name tells the states."""
+        if self.equation.isidentifier():
+            return False
+        return len(names_of(self.equation).intersection(self.name.split())) > 1
 
     @property
     def names(self) -> set[str]:
@@ -125,7 +133,7 @@ def is_decay(effect: Effect) -> bool:
     own = sorted({x, f"dH_d{x}"} & names)
     if effect.slot == "F":
         return bool(own) and not effect.memory and is_linear(body, own)
-    return effect.slot == "R" and not names
+    return effect.slot == "R" and not names and x.isidentifier()
 
 
 def _guesses(terms: Iterable[Term]) -> list[Scan | Share | Tried | None]:

@@ -10,10 +10,11 @@ The texts of a row contain names in braces, which the ``catalogue`` fills in:
 - ``{inertia}`` what the equation divides a force by, such as a mass, "" where the model
   tells none; a model without an energy has it. What a law adds is divided by it, too;
 - ``{s}`` another storage or input, ``{s_e}`` its effort; ``{level}`` what flows over;
-- ``{q1}``, ``{q2}`` two positions;
+- ``{q1}``, ``{q2}`` two positions, ``{x1}``, ``{x2}`` two states between which it acts;
 - ``{source}``, ``{a_source}``, ``{grows_with}``, ``{place}``, ``{input_size}`` words.
 
-A row with a name that an equation does not have is not offered there. A loss is
+A row with a name that an equation does not have is not offered there. What acts between
+two states stands along a direction, and its effort is a difference. A loss is
 R_ii dH/dx_i: a force c f(v) against the velocity v has R_ii = c f(v)/v.
 The cells of a row are, in this order: name; roles of the states in whose equations the
 law is offered (none: all); formula; family; name of the coefficient; and, in H, the
@@ -26,7 +27,7 @@ brings what it names of ``INNER_PARAMETERS`` and ``MEMORIES``.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import chain
+from itertools import chain, permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -207,6 +208,12 @@ parametric stiffness | 1/4 | -{q} (a sin({omega} t) + b cos({omega} t)) |
 parametric elastance | 1/4 | -{q} (a sin({omega} t) + b cos({omega} t)) |
 hysteresis | 1 | -c z, w dz/dt = {e} - (|{e}| z + {e} |z|)/2 | bouc-wen, presliding
 bouc-wen hysteresis | 1/4 | -c z, w dz/dt = {e} - (|{e}| z + s {e} |z|)/2 | free hysteresis
+damper between | 1 | -c {e} | coupling damper, viscous coupling
+dry friction between | 1 | -c sign({e}) | slipping clutch, coupling friction
+gyroscopic coupling between | 1 | c dH/dx2, -c dH/dx1 | Coriolis force, magnetic force
+spill from | 1 | c max({s_e} - limit, 0) | weir, overflow into
+exchange of heat between | 4 | -c {e} | thermal bridge, thermal conductance
+connection between | 1 | -c sign({e}) sqrt(|{e}|) | pipe, orifice, leak
 overflow from | 1 | c max({s_e} - limit, 0) | spill, weir
 heat exchange with | 1 | c ({s_e} - {e}) | heat transfer, ambient, conduction
 sensor offset | 1 | sensor + c | offset, bias, zero error
@@ -248,6 +255,7 @@ WORDS_OF_NUMBERS = {
     "v_s": "Stribeck speed v_s",
     "e0": "level of transition e0",
     "half": "level of half the conductance",
+    "ratio": "ratio of the capacities",
     "omega": "frequency omega",
     "dead zone": "half the width of the dead zone",
     "saturation": "limit of the saturation",
@@ -275,6 +283,10 @@ def parameter_words(model: BaseModel, name: str) -> str:
     if outer:
         told = WORDS_OF_NUMBERS.get(inner, inner)
         return f"{parameter_words(model, outer)}, {told}"
+    for first, second in permutations(model.states, 2):
+        for told in (f" between {first} and {second}", f" from {first} into {second}"):
+            if name.endswith(told.replace(" ", "_")):
+                return name[: -len(told)].replace("_", " ") + told
     for state in filter(lambda one: name.endswith(f"_{one}"), model.states):
         stem = name.removesuffix(f"_{state}").replace("_", " ")
         starts = filter(
@@ -320,17 +332,23 @@ class Law:
         """The effect in the equation of ``{x}``; None where it is not offered."""
         slot = self.slot
         terms = self.terms
+        equation = names.get("along", names["x"])
         if slot == "H" and not model.has_energy:
             slot = "F"
             terms = dict.fromkeys([self.force] if self.force else [], *terms.values())
-        known = {one.body for one in model.terms_at(slot, names["x"])}
+        if slot == "R" and "along" in names and not model.has_energy:
+            slot = "F"
+            bodies = ["-{e}" if body == "1" else f"-{{e}}*{body}" for body in terms]
+            terms = dict(zip(bodies, terms.values(), strict=True))
+        known = {one.body for one in model.terms_at(slot, equation)}
         memory = {}
         try:
             name = self.name.format_map(names)
             names = {**names, "name": name.replace(" ", "_")}
             if slot == "sensor":
                 names["inertia"] = ""
-            added = [_term(*one, names) for one in terms.items()]
+            of_direction = names.get("ratio", "")
+            added = [_term(*one, names, of_direction) for one in terms.items()]
             added = [one for one in added if one.body not in known]
             if not added:
                 return None
@@ -342,12 +360,17 @@ class Law:
         except KeyError:  # the equation has no position, or no such input
             return None
         sum_of_terms = Dictionary(tuple(added))
-        return Effect(name, slot, names["x"], sum_of_terms, memory, family)
+        return Effect(name, slot, equation, sum_of_terms, memory, family)
 
 
-def _term(template: str, coefficient: str, names: Mapping[str, str]) -> Term:
-    """A term with the names filled in, and the parameters that its body names."""
-    inner = {}
+def _term(
+    template: str, coefficient: str, names: Mapping[str, str], ratio: str = ""
+) -> Term:
+    """A term with the names filled in, and the parameters that its body names.
+
+    And the ratio of two capacities in the direction along which it stands, if any.
+    """
+    inner = {ratio: Parameter(1.0, lower=0.0)} if ratio else {}
     for key, parameter in INNER_PARAMETERS.items():
         if key in template:
             guess = parameter.guess
@@ -502,6 +525,28 @@ HEAT_EXCHANGES = _laws(
     "heat exchange with {s} | HEAT | {s_e} - {e} | an exchange of heat",
     "heat_exchange_{s}_{x} >= 0",
 )
+# What acts between two states, and takes from the one what the other gets.
+BETWEEN = _laws(
+    "R",
+    """
+damper between {x1} and {x2} | BODY | 1 | a loss between two bodies
+dry friction between {x1} and {x2} | BODY | DRY | a loss between two bodies
+exchange of heat between {x1} and {x2} | HEAT | 1 | an exchange of heat
+connection between {x1} and {x2} | TANK | ({e}**2 + e0**2)**(-0.25) | a connection
+""",
+    "{name} >= 0",
+)
+# As an entry of S between two momenta does, without loss.
+EXCHANGES = _laws(
+    "F",
+    "gyroscopic coupling between {x1} and {x2} | BODY | 1 | a coupling without loss",
+    "{name}",
+)
+SPILLS = _laws(
+    "F",
+    "spill from {s} into {x} | | max({s_e} - limit, 0) | an overflow",
+    "{name} >= 0",
+)
 # What a sensor adds to the state: measured = state + sensor terms.
 SENSORS = _laws(
     "sensor",
@@ -515,10 +560,13 @@ sensor delay | | LATE_READING | a delay of the sensor | formula
 )
 
 
-TABLES = (LOSSES, ENERGIES, FORCES, INPUTS, LASTING, OVERFLOWS, HEAT_EXCHANGES, SENSORS)
+TABLES = (
+    *(LOSSES, ENERGIES, FORCES, INPUTS, LASTING),
+    *(OVERFLOWS, HEAT_EXCHANGES, BETWEEN, EXCHANGES, SPILLS, SENSORS),
+)
 # Names that stand for those of any model.
 ANY_MODEL = {"e": "e", "q": "q", "angle": "q", "x": "x", "u": "u", "omega": "omega"}
-ANY_MODEL |= {"s": "x2", "s_e": "e2", "q1": "q1", "q2": "q2"}
+ANY_MODEL |= {"s": "x2", "s_e": "e2", "q1": "q1", "q2": "q2", "x1": "x1", "x2": "x2"}
 ANY_MODEL |= {"source": "force", "of_u": "", "dF": "dF/du "}
 
 

@@ -121,14 +121,14 @@ def mechanical(
         found = {}
         for momentum, one in zip(momenta, sums, strict=True):
             if one:
-                found[momentum] = variables.formula(_text(one), slot, known)
+                found[momentum] = variables.formula(_text(one), slot, momentum, known)
         return found
 
     R = by_momentum("R", losses)
     H = Dictionary()
     energies = map("{}**2/(2*{})".format, momenta, masses)
     for energy in (*energies, *map(_text, filter(None, potentials))):
-        H += variables.formula(energy, "H", known)
+        H += variables.formula(energy, "H", "", known)
     F = by_momentum("F", forces_left)
     S = canonical(len(positions))
     model = PseudoHamiltonian(

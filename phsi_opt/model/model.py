@@ -135,16 +135,19 @@ class PseudoHamiltonian(Model):
 
         dx/dt = (S - R(x)) grad H(x) + F(x, t, u)
 
-    S is constant and skew-symmetric, R is diagonal.
+    S is constant and skew-symmetric, R is symmetric: a sum of r(x) b b', where the
+    direction b is a state or a sum of states.
 
     Args:
         states: names of the states.
         S: (n_states, n_states) matrix, see `canonical`.
         H: dictionary of terms in the states.
         R: per equation, the terms of the diagonal entry R_ii(x) >= 0; the loss is
-            R_ii dH/dx_i.
+            R_ii dH/dx_i. Or along a direction: ``R={"p1 - p2": "d"}`` is a damper
+            between two bodies, with the force d (dH/dp1 - dH/dp2) on both.
         F: per equation, terms in the states, inputs, efforts (``dH_dp``) and the time
-            ``t``.
+            ``t``. Or along a direction: what ``"h2 - h1"`` takes from h1 h2 gets, and
+            of ``"h2 - s*h1"`` the share s is a parameter.
         inputs: names of the measured inputs.
         sensor: per measured state, the error that its sensor adds, such as an offset;
             terms as in F.
@@ -202,7 +205,7 @@ class FirstOrder(Model):
 
         dx_i/dt = F_i(x, t, u) - R_ii(x) x_i
 
-    Its efforts are the states.
+    Its efforts are the states. R and F may have directions, too.
 
     Args:
         states: names of the states.

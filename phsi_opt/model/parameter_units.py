@@ -67,7 +67,9 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
         if isinstance(guess, Scan) and guess.variable == "t":
             told[name] = f"{RADIAN}/{time}" if time else parameter.unit
         else:
-            named = named_units(entry.equation, model, units)
+            rows = model.rows(entry.equation)
+            of_state = model.states[rows[0]] if rows else ""
+            named = named_units(of_state, model, units)
             told[name] = coefficient_unit(found[name], named)
             scale = scale_of(told[name])
             if entry.slot == "sensor" and entry.prunable and scale.zero:
@@ -239,17 +241,27 @@ class Equations:
     def _say_term(self, placed: PlacedTerm) -> None:
         """A term has the unit of its slot."""
         slot, equation, _ = placed
-        rate: Form = {equation: 1.0, "t": -1.0}
-        names = self._names(rate)
+        rows = self._model.rows(equation)
+        first = self._model.states[rows[0]] if rows else equation
+        names = self._names({first: 1.0, "t": -1.0})
         quantities = {name: _Quantity(self, form) for name, form in names.items()}
         functions = {name: partial(self._called, name) for name in FUNCTIONS}
         constants = dict.fromkeys(CONSTANTS, _Quantity(self, {}))
         backend = Backend(functions, partial(self._number, placed), constants)
         own = placed.value(quantities, backend).form
-        if slot == "R":
-            rate = product(rate, self._effort(equation), -1.0)
-        of_slot = {"H": {WHOLE_ENERGY: 1.0}, "sensor": {equation: 1.0}}.get(slot, rate)
-        self.alike(own, of_slot, own)
+        if slot in "H sensor":
+            of_slot = {WHOLE_ENERGY: 1.0} if slot == "H" else {equation: 1.0}
+            self.alike(own, of_slot, own)
+            return
+        factors = placed.factors(self._model.states, quantities, backend)
+        for state, factor in factors.items():
+            # What is along a direction in each of its states, of R times b b'.
+            along = product(own, factor.form)
+            rate: Form = {state: 1.0, "t": -1.0}
+            if slot == "R":
+                along = product(along, factor.form)
+                rate = product(rate, self._effort(state), -1.0)
+            self.alike(along, rate, along)
 
     def _names(self, rate: Form) -> dict[str, Form]:
         """The forms of all names in an equation of that rate, and of the parameters."""
@@ -347,6 +359,9 @@ class _Quantity:
         return replace(other if is_other else self, value=None)
 
     __sub__ = __add__
+
+    def __rmul__(self, sign: int) -> "_Quantity":
+        return self if sign > 0 else -self
 
     def __neg__(self) -> "_Quantity":
         return replace(self, value=None if self.value is None else -self.value)

@@ -1,10 +1,12 @@
 """Slots: where a term may act in a model, and what its parameters are called there.
 
 H is the energy of the whole model; R, F and the sensor have a sum of terms per
-equation. A *place* is a slot of an equation, and its name (``H``, ``R_p``, ``F_p``)
-stands in the names of the parameters.
+equation, R and F also along directions (``directions``). A *place* is a slot of an
+equation, and its name (``H``, ``R_p``, ``F_p``, ``R_p1_p2``) stands in the names of the
+parameters.
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
@@ -13,6 +15,7 @@ from typing import Any, NamedTuple
 
 from phsi_opt.data.checks import RESERVED_PREFIXES
 from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.model.directions import direction_parts, factors_of
 from phsi_opt.model.expressions import (
     CASADI,
     Backend,
@@ -25,12 +28,20 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
 
 SLOTS = ("H", "R", "F", "sensor")
+EXCHANGE = re.compile(r"dH_d(\w+)\*(\w+) - dH_d\2\*\1")
 BY_EQUATION = SLOTS[1:]  # the slots that have terms per equation
 
 
 def place_of(slot: str, equation: str) -> str:
-    """Name of a slot of an equation: ``H``, ``R_p``, ``F_p``."""
-    return f"{slot}_{equation}" if equation else slot
+    """Name of a slot of an equation: ``H``, ``R_p``, ``F_p``, ``R_p1_p2``.
+
+    An exchange without loss, along "dH_dp2*p1 - dH_dp1*p2", is the entry ``S_p1_p2``.
+    """
+    exchange = EXCHANGE.fullmatch(equation)
+    if slot == "F" and exchange:
+        return f"S_{exchange[2]}_{exchange[1]}"
+    named = re.sub(r"\W+", "_", equation.replace("+", "plus")).strip("_")
+    return f"{slot}_{named}" if equation else slot
 
 
 @dataclass(frozen=True)
@@ -64,11 +75,23 @@ class PlacedTerm(NamedTuple):
 
     def value(self, names: Mapping[str, Any], backend: Backend = CASADI) -> Any:
         """Its value, where the variables and the model's parameters are by name."""
-        known = dict(names)
-        for inner in self.term.inner:
-            known[inner] = names[self.parameter_name(inner)]
-        body = evaluate(self.term.body, known, backend)
+        body = evaluate(self.term.body, self._known(names), backend)
         return body if self.term.is_formula else names[self.parameter_name()] * body
+
+    def factors(
+        self, states: Sequence[str], names: Mapping[str, Any], backend: Backend = CASADI
+    ) -> dict[str, Any]:
+        """Each state in whose equation it acts, with its factor; of R and F."""
+        known = self._known(names)
+        found = {}
+        for state, sign, factor in direction_parts(self.equation, tuple(states)):
+            found[state] = sign * evaluate(factor, known, backend)
+        return found
+
+    def _known(self, names: Mapping[str, Any]) -> dict[str, Any]:
+        """The names of the model, and those of its own parameters inside."""
+        own = {inner: names[self.parameter_name(inner)] for inner in self.term.inner}
+        return {**names, **own}
 
     def entries(self) -> list[Entry]:
         """The term's parameters, by their names in the model; its coefficient first."""
@@ -133,15 +156,20 @@ class Variables:
             names |= set(self.slopes)
         return names
 
-    def formula(self, text: str, slot: str, known: dict[str, Parameter]) -> Dictionary:
+    def formula(
+        self, text: str, slot: str, equation: str, known: dict[str, Parameter]
+    ) -> Dictionary:
         """A formula of the slot; names without a meaning become ``known`` parameters.
 
         A free parameter begins at a value from the data where the formula is linear in
-        it, else at 1. A loss that is nothing but a parameter is not negative.
+        it, else at 1, as those in the direction do. A loss that is nothing but a
+        parameter is not negative.
         """
         variables = self.of_slot("F")
         own: dict[str, Parameter] = {}
         linear: list[str] = []
+        for name in sorted(factors_of(equation, self.states) - variables):
+            own[name] = known.setdefault(name, Parameter(1.0))
         for name in sorted(names_of(text)):
             if name in variables or name.startswith(RESERVED_PREFIXES):
                 continue  # what is wrong in this slot is refused with the term
@@ -180,7 +208,21 @@ class Variables:
                     f"({', '.join(self.inputs)}) can be delayed, by a parameter of a "
                     "formula."
                 )
-        allowed = self.of_slot(placed.slot).union(placed.term.inner, shared)
+        parameters = {*placed.term.inner, *shared}
+        factors = factors_of(placed.equation, self.states)
+        for name in sorted(factors - parameters - self.of_slot(placed.slot)):
+            raise ModelError(
+                f"name {name!r} in direction {placed.equation!r} is neither a "
+                "variable nor a parameter of the terms along it; give it: "
+                f"formula(..., {name}=Parameter(1.0))."
+            )
+        for name in placed.term.inner:
+            if name not in names_of(placed.term.body) | factors:
+                raise ModelError(
+                    f"parameter {name!r} does not occur in {placed.term.body!r}; "
+                    "remove it or correct its name."
+                )
+        allowed = self.of_slot(placed.slot) | parameters
         unknown = names_of(placed.term.body) - allowed
         if not unknown:
             return

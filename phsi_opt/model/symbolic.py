@@ -5,7 +5,7 @@ for printing; ``Model`` keeps the functions. This file knows nothing of data, lo
 solvers.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,8 +13,9 @@ from typing import Any
 import casadi as ca
 
 from phsi_opt.model.base import BaseModel
+from phsi_opt.model.directions import direction_parts, summed
 from phsi_opt.model.expressions import CASADI, Backend, names_of
-from phsi_opt.model.slots import PlacedTerm
+from phsi_opt.model.slots import PlacedTerm, place_of
 from phsi_opt.model.terms import Term
 from phsi_opt.presentation.summary import Part, Summary, printed_table
 
@@ -45,14 +46,22 @@ class Expressions:
         return ca.vertsplit(ca.gradient(energy, ca.vertcat(*self.x)))
 
     @cached_property
-    def loss(self) -> list[Any]:
-        """The diagonal of R."""
-        return self._by_state("R")
+    def losses(self) -> list[Any]:
+        """What R takes from each rate, r b b' grad H along every direction b."""
+        found = []
+        for state, effort in zip(self.model.states, self.efforts, strict=True):
+            found.append(self.total("R", state) * effort)
+        efforts = dict(zip(self.model.states, self.efforts, strict=True))
+        for loss, factors in self._along_directions("R"):
+            along = sum(factor * efforts[state] for state, factor in factors.items())
+            for state, factor in factors.items():
+                found[self.model.states.index(state)] += factor * loss * along
+        return found
 
     @cached_property
     def sensor(self) -> list[Any]:
         """What each sensor adds to its state."""
-        return self._by_state("sensor")
+        return [self.total("sensor", state) for state in self.model.states]
 
     @cached_property
     def force(self) -> list[Any]:
@@ -70,6 +79,9 @@ class Expressions:
                 named = dict(zip(slope_names, slopes, strict=True))
                 force = force + self._total(on_slopes, {**self.known, **named})
             forces.append(force)
+        for force, factors in self._along_directions("F"):
+            for state, factor in factors.items():
+                forces[self.model.states.index(state)] += factor * force
         return forces
 
     @cached_property
@@ -81,8 +93,12 @@ class Expressions:
             for coupling, effort in zip(couplings, self.efforts, strict=True):
                 if coupling != 0.0:
                     exchange = exchange + self.backend.number(coupling) * effort
-            rows.append(exchange - self.loss[i] * self.efforts[i] + self.force[i])
+            rows.append(exchange - self.losses[i] + self.force[i])
         return rows
+
+    def total(self, slot: str, equation: str) -> Any:
+        """The sum of the terms at a place."""
+        return self._total(self._at(slot, equation), self.known)
 
     @property
     def shown(self) -> ca.SX:
@@ -110,9 +126,14 @@ class Expressions:
         names = {**self.values, **known}
         return sum(placed.value(names, self.backend) for placed in terms)
 
-    def _by_state(self, slot: str) -> list[Any]:
-        states = self.model.states
-        return [self._total(self._at(slot, name), self.known) for name in states]
+    def _along_directions(self, slot: str) -> Iterator[tuple[Any, dict[str, Any]]]:
+        """Value of each term along a direction of several states, and the factors."""
+        names = {**self.values, **self.known}
+        for equation in getattr(self.model, slot):
+            for placed in self._at(slot, equation):
+                if equation not in self.model.states:
+                    factors = placed.factors(self.model.states, names, self.backend)
+                    yield placed.value(names, self.backend), factors
 
     def _slope(self, expression: Any, variable: Any) -> Any:
         if self.backend is CASADI:
@@ -230,6 +251,8 @@ def _term(term: Term, place: str, number: int) -> str:
 
 def structure_rows(model: BaseModel) -> list[str]:
     """An equation per state in the names of the slots: dp/dt = - dH_dq - R_p*dH_dp."""
+    names = model.efforts if model.H.terms else model.states
+    efforts = dict(zip(model.states, names, strict=True))
     rows = []
     for i, state in enumerate(model.states):
         parts = []
@@ -238,11 +261,16 @@ def structure_rows(model: BaseModel) -> list[str]:
                 sign = "+" if entry > 0 else "-"
                 factor = "" if abs(entry) == 1 else f"{abs(entry):g}*"
                 parts.append(f"{sign} {factor}dH_d{other}")
-        if state in model.R:
-            effort = f"dH_d{state}" if model.H.terms else state
-            parts.append(f"- R_{state}*{effort}")
-        if state in model.F:
-            parts.append(f"+ F_{state}")
+        for slot, usual in (("R", -1), ("F", 1)):
+            for equation in getattr(model, slot):
+                directed = direction_parts(equation, tuple(model.states))
+                for part in directed:
+                    if part.state == state:
+                        text = part.times(place_of(slot, equation))
+                        if slot == "R":
+                            text += f"*{summed(directed, efforts)}"
+                        sign = "+" if part.sign == usual else "-"
+                        parts.append(f"{sign} {text}")
         right_hand_side = " ".join(parts).removeprefix("+ ") or "0"
         rows.append(f"d{state}/dt = {right_hand_side}")
     return rows

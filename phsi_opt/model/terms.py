@@ -45,11 +45,12 @@ class Term:
     Args:
         body: a formula, see ``expressions``.
         coefficient: the factor of the body; None for a formula.
-        inner: the parameters inside the body, by name.
+        inner: the parameters inside the body, or in the direction along which the term
+            stands, by name.
         name: replaces the automatic name of the coefficient.
 
     Raises:
-        ModelError: the body cannot be read, or lacks one of the parameters.
+        ModelError: the body cannot be read.
     """
 
     body: str
@@ -58,14 +59,8 @@ class Term:
     name: str = ""
 
     def __post_init__(self) -> None:
-        used = names_of(self.body)
+        names_of(self.body)  # refuses what cannot be read
         object.__setattr__(self, "inner", read_only(self.inner))
-        for name in self.inner:
-            if name not in used:
-                raise ModelError(
-                    f"parameter {name!r} does not occur in {self.body!r}; "
-                    "remove it or correct its name."
-                )
 
     def __repr__(self) -> str:
         return short_repr(self)

@@ -356,11 +356,16 @@ class ModelView:
 
     @ui.refreshable_method
     def by_state(self) -> None:
-        """Loss and force of each state."""
+        """Loss and force of each state, and of each direction that there is."""
         draft = self._draft
-        for name in draft.names("states"):
+        states = draft.names("states")
+        every = dict.fromkeys((*states, *draft.table["R"], *draft.table["F"]))
+        for name in every:
+            if name.isidentifier() and name not in states:
+                continue
+            label = f"d{name}/dt" if name in states else name
             with field_row():
-                ui.label(f"d{name}/dt").classes("formula").style("width: 5em")
+                ui.label(label).classes("formula").style("width: 5em")
                 if draft.type == ENERGY:
                     fields(draft.table["R"], "model.R", "*", self.checked, name)
                 fields(draft.table["F"], "model.F", "*", self.checked, name)

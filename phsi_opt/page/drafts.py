@@ -423,7 +423,9 @@ class ModelDraft:
         for key in ("R", "F", "kind"):
             told = content.pop(key, {})
             if isinstance(told, Mapping):
-                told = {name: told[name] for name in states if name in told}
+                directions = [one for one in told if not one.isidentifier()]
+                kept = [name for name in (*states, *directions) if name in told]
+                told = {name: told[name] for name in kept}
             if told:
                 content[key] = told
         return content

@@ -138,6 +138,8 @@ def where_answer(diagnosis: Diagnosis) -> Answer:
 def _acts(effect: Effect) -> str:
     if effect.slot == "sensor":
         return f"at the sensor of {effect.equation}"
+    if not effect.equation.isidentifier():
+        return f"along {effect.equation}"
     return f"in d{effect.equation}/dt"
 
 

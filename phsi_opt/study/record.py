@@ -353,7 +353,8 @@ class StudyRecord:
         frozen = self.model_with(others).frozen()
         fit = identify(frozen, self.training, MaximumLikelihood())
         analysis = ForceAnalysis.of(Record.of_aligned(fit, self.training))
-        force = analysis.force_in(effect.equation)
+        first = frozen.states[frozen.rows(effect.equation)[0]]
+        force = analysis.force_in(first)
         larger = self.model_with(self.last.added).frozen()
         points = force.record.points
         if effect.memory or larger.delays:  # which the smaller model does not have
@@ -371,7 +372,7 @@ class StudyRecord:
             force = replace(force, record=record)
         heading = f"{capitalised(force.quantity)} that is missing without {effect}"
         said = (
-            f"The added law: the {force.quantity} missing in d{effect.equation}/dt if "
+            f"The added law: the {force.quantity} missing in d{first}/dt if "
             f"{effect} is removed from the present model and all other values are kept"
         )
         heading, said = map(proper_names, (heading, said))
@@ -398,7 +399,9 @@ def _variables(model: Model) -> tuple[str, ...]:
 def _natural_variable(effect: Effect, model: Model) -> str:
     """The variable, or the difference of two, of which its law is a function."""
     if effect.slot == "R":
-        return model.efforts[model.index(effect.equation)]
+        return DIFFERENCE.join(
+            model.efforts[row] for row in model.rows(effect.equation)
+        )
     names = [name for name in _variables(model) if name in effect.names]
     body = effect.term.terms[0].body
     for pair in permutations(names, 2):

@@ -73,13 +73,13 @@ model.inputs | list of texts | names of the inputs; default: none
 model.pairs | list of pairs | canonical pairs, such as [["q", "p"]]: dq/dt = dH/dp
 model.S | list of rows | or: the skew-symmetric structure matrix
 model.H | formula, term, or list of these | the energy, a function of the states only
-model.R | table | losses R_ii >= 0 by state: dx_i/dt = ... - R_ii dH/dx_i
-model.F | table | forces by state; may use states, inputs, t, efforts dH_dp
+model.R | table | losses R_ii >= 0 by state or direction: dx_i/dt = ... - R_ii dH/dx_i
+model.F | table | forces by state or direction; of states, inputs, t, efforts dH_dp
 model.sensor | table | sensor error by state: measured value minus state
 model.memory | list of texts | states that belong to the memory of an effect
 model.kind | text or table | kind of the states: "thermal", or { T1 = "thermal" }
-model.R.* | formula, term, or list of these | for the state of this name
-model.F.* | formula, term, or list of these | for the state of this name
+model.R.* | formula, term, or list of these | for this state, or along "p1 - p2"
+model.F.* | formula, term, or list of these | for this state, or along "p1 - p2"
 model.sensor.* | formula, term, or list of these | for the state of this name
 model.kind.* | text | for the state of this name
 term.body | formula | one term: coefficient times this formula
@@ -110,7 +110,7 @@ parameters.*.guess.shares | list of numbers | Tried: starts / largest absolute v
 parameters.*.guess.most | number | Tried: upper bound / largest absolute value
 effects.name | text | name of the effect
 effects.slot | "H", "R", "F" or "sensor" | part of the model to which it is added
-effects.equation | text | state in whose equation it acts
+effects.equation | text | state in whose equation it acts, or "p1 - p2"
 effects.term | formula, term, or list of these | the term that it adds
 effects.memory | table of terms | additional states, each with its rate of change
 effects.family | text | name of its class; default: none

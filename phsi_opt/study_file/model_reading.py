@@ -16,6 +16,7 @@ from phsi_opt.arguments import require_known
 from phsi_opt.data.checks import checked_names
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.estimation.fit_file import GUESSES, KINDS
+from phsi_opt.model.directions import direction_parts, factors_of
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS, names_of
 from phsi_opt.model.model import Model
@@ -118,9 +119,11 @@ class ModelReader:
             parts[what] = self._names(what)
         for slot in BY_EQUATION:
             parts[slot] = {
-                state: self._terms(terms, slot, "model", slot, state)
-                for state, terms in section.get(slot, {}).items()
-                if self._is_state(state, "model", slot, state)
+                equation: self._terms(
+                    terms, slot, "model", slot, equation, along=equation
+                )
+                for equation, terms in section.get(slot, {}).items()
+                if self._is_equation(equation, slot, "model", slot, equation)
             }
         if kind == WITH_ENERGY:
             parts["S"] = self._structure()
@@ -149,6 +152,15 @@ class ModelReader:
             require_known(name, self.states, said)
         return name in self.states
 
+    def _is_equation(self, equation: str, slot: str, *place: str | int) -> bool:
+        """Whether a slot can have terms there; else it is noted."""
+        if equation.isidentifier() or slot == "sensor":
+            return self._is_state(equation, *place)
+        with self.faults.noting(*place):
+            direction_parts(equation, tuple(self.states))
+            return True
+        return False
+
     def _structure(self) -> Any:
         if self.faults.exactly_one(self.section, ("pairs", "S"), "model") == "S":
             return self.section.get("S")
@@ -161,23 +173,30 @@ class ModelReader:
                 S[column, row] = -1.0
         return S
 
-    def _terms(self, content: Any, slot: str, *place: str | int) -> Dictionary:
-        """The terms at a place; ``slot`` decides which names they may have."""
+    def _terms(
+        self, content: Any, slot: str, *place: str | int, along: str = ""
+    ) -> Dictionary:
+        """The terms at a place; ``slot`` decides which names they may have.
+
+        And so does the direction ``along`` which they stand.
+        """
         terms: list[Term] = []
         for number, one in enumerate(listed(content)):
             with self.faults.noting(*place, value=one):
                 if isinstance(one, dict):
                     terms += self._table(one, *place, number)
                 else:
-                    terms += self._formula(str(one), slot, place)
+                    terms += self._formula(str(one), slot, place, along)
         with self.faults.noting(*place):
             return Dictionary(tuple(terms))
         return Dictionary()
 
-    def _formula(self, text: str, slot: str, place: Place) -> Dictionary:
+    def _formula(self, text: str, slot: str, place: Place, along: str) -> Dictionary:
         variables = Variables(self.states, self._names("inputs"))
         allowed = variables.of_slot(slot)
         own = names_of(text) - allowed
+        if along:
+            own |= factors_of(along, self.states) - allowed
         self.used.update(own)
         for one in sorted(own - set(self.parameters)):
             known = sorted({*allowed, *self.parameters})
@@ -224,8 +243,9 @@ class ModelReader:
             self.faults.need(
                 "an effect needs this key.", content.get(name), *place, name
             )
-        if content.get("equation"):
-            self._is_state(content["equation"], *place, "equation")
+        equation = content.get("equation", "")
+        if equation:
+            self._is_equation(equation, content["slot"], *place, "equation")
         if self.faults.about(*place):
             return None
         rates = content.get("memory", {})
@@ -233,7 +253,10 @@ class ModelReader:
         memory = {}
         for state, rate in rates.items():
             memory[state] = larger._terms(rate, "F", *place, "memory", state)
-        term = larger._terms(content["term"], content["slot"], *place, "term")
+        along = "" if content["slot"] == "sensor" else equation
+        term = larger._terms(
+            content["term"], content["slot"], *place, "term", along=along
+        )
         with self.faults.noting(*place, value=""):
             return Effect(**{**content, "term": term, "memory": memory})
         return None

@@ -1,0 +1,158 @@
+"""Terms along directions: what acts between two states takes from one what it gives."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import phsi_opt as ph
+from phsi_opt.model.parameter_units import parameter_units
+
+TWO_MASSES: dict[str, Any] = {"states": ["q1", "q2", "p1", "p2"], "S": ph.canonical(2)}
+ENERGY = "k1*q1**2/2 + k2*q2**2/2 + p1**2/2 + p2**2/4"
+
+
+def coupled(**parts: Any) -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(**TWO_MASSES, **{"H": ENERGY, **parts})
+
+
+def rates(model: ph.Model, x: Any, u: Any = (), **values: float) -> np.ndarray:
+    theta = [values[name] for name in model.free]
+    return model.rhs()(np.array(x), np.array(u), 0.0, theta).full().ravel()
+
+
+def test_a_loss_and_a_force_along_a_direction_act_in_all_its_equations() -> None:
+    model = coupled(
+        R={"p1": "c", "p2-p1": "d"},
+        F={"p1 - s*p2/2": "a*q1", "p2": "u"},
+        inputs=["u"],
+    )
+    values = {"k1": 1.0, "k2": 2.0, "c": 0.1, "d": 0.3, "s": 0.5, "a": 0.7}
+    q1, q2, v1, v2 = 1.0, 2.0, 3.0, 2.0
+    found = rates(model, [q1, q2, v1, 2 * v2], [0.2], **values)
+    between = 0.3 * (v1 - v2)
+    force = 0.7 * q1
+    expected = [v1, v2]
+    expected += [-q1 - 0.1 * v1 - between + force]
+    expected += [-2 * q2 + between - 0.25 * force + 0.2]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    said = str(model)
+    assert "dp1/dt = - dH_dq1 - R_p1*dH_dp1 + R_p2_p1*(dH_dp2 - dH_dp1) + F" in said
+    assert "dp2/dt = - dH_dq2 - R_p2_p1*(dH_dp2 - dH_dp1) + F_p2 - s/2*F" in said
+
+
+def test_what_it_takes_from_one_the_other_gets_and_losses_are_no_supply() -> None:
+    rng = np.random.default_rng(66001)
+    model = coupled(R={"p1 - p2": "d*(1 + q1**2)"}, F={"p1 - p2": "a*q2"})
+    for x in rng.normal(size=(20, 4)):
+        values = {"k1": 1.0, "k2": 2.0, "d": 0.4, "a": 0.7}
+        without = rates(model, x, **{**values, "d": 0.0, "a": 0.0})
+        change = rates(model, x, **values) - without
+        np.testing.assert_allclose(change[2:].sum(), 0.0, atol=1e-14)
+        loss = rates(model, x, **{**values, "a": 0.0}) - without
+        velocities = np.array([x[2], x[3] / 2])
+        assert loss[2:] @ velocities <= 0
+
+
+@pytest.mark.parametrize(("direction", "message"), [
+    ("p1 - p9", "'p9' in 'p1 - p9' is neither a state of the model"),
+    ("p1*p2", r"'p1 \* p2' in 'p1\*p2' is neither a state"),
+    ("p1 - p1", "direction 'p1 - p1' has 'p1' twice"),
+    ("(p1 + 1)*2", "nor a multiple of one"),
+    ("sin(p1) - p2", "nor a multiple of one"),
+    ("p1*q2 - p2", "nor a multiple of one"),
+])  # fmt: skip
+def test_what_is_no_direction_is_refused(direction: str, message: str) -> None:
+    for slot in ("R", "F"):
+        with pytest.raises(ph.ModelError, match=message):
+            coupled(**{slot: {direction: "d"}})
+    with pytest.raises(ph.ModelError, match="is not a state"):
+        coupled(sensor={"q1 - q2": "d"})
+
+
+def test_an_exchange_along_the_efforts_of_each_other_is_one_of_s() -> None:
+    gyroscope = coupled(F={"dH_dp2*p1 - dH_dp1*p2": "g*(1 + q1**2)"})
+    S = ph.canonical(2)
+    rng = np.random.default_rng(66003)
+    for x in rng.normal(size=(5, 4)):
+        S[2, 3] = 1.2 * (1 + x[0] ** 2)
+        S[3, 2] = -S[2, 3]
+        values = {"k1": 1.0, "k2": 2.0}
+        found = rates(gyroscope, x, **values, g=1.2)
+        expected = rates(
+            ph.PseudoHamiltonian(**{**TWO_MASSES, "S": S}, H=ENERGY), x, **values
+        )
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_units_follow_the_direction() -> None:
+    model = ph.FirstOrder(
+        ["T1", "T2"],
+        {
+            "T1": ph.formula("P/C1", C1=ph.Parameter(20.0, lower=0, unit="J/K")),
+            "T2": ph.formula("Q/C2", C2=ph.Parameter(30.0, lower=0, unit="J/K")),
+        },
+        inputs=["P", "Q"],
+        kind="thermal",
+    )
+    units = {"T1": "degC", "T2": "degC", "P": "W", "Q": "W", "t": "s"}
+    (effect,) = ph.catalogue(model, units, called="thermal bridge")
+    assert str(effect) == "exchange of heat between T1 and T2"
+    assert effect.equation == "T1/C1 - T2/C2"
+    larger = model.add(effect)
+    assert parameter_units(larger, units)[larger.free[-1]] == "W/K"
+    values = {"C1": 20.0, "C2": 30.0, larger.free[-1]: 1.2}
+    found = rates(larger, [40.0, 10.0], [0.0, 0.0], **values)
+    np.testing.assert_allclose(found, [-1.2 * 30 / 20, 1.2 * 30 / 30], rtol=1e-12)
+
+
+def two_bodies(friction: float, damping: float, seed: int) -> ph.Measurements:
+    """Positions of two bodies on springs, with what acts between them."""
+
+    def motion(t: float, x: np.ndarray) -> list[float]:
+        q1, q2, p1, p2 = x
+        v = p1 - p2 / 2
+        between = damping * v + friction * np.tanh(v / 0.01)
+        stretched = 0.6 * (q1 - q2)
+        first = -q1 - 0.05 * p1 - stretched - between
+        return [p1, p2 / 2, first, -2 * q2 - 0.025 * p2 + stretched + between]
+
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0.0, 20.0, 250)
+    runs = []
+    for start in ([1, 0, 0, 0], [0, 1.2, 0.5, 0], [1, -1, 0, 0.5]):
+        x = solve_ivp(motion, (0, 20), start, t_eval=t, rtol=1e-8, atol=1e-9).y.T
+        runs.append(x[:, :2] + 0.008 * rng.normal(size=(250, 2)))
+    return ph.Measurements.from_arrays([t] * 3, runs, states=["q1", "q2"])
+
+
+@pytest.mark.parametrize(("friction", "damping", "named", "size"), [
+    (0.0, 0.25, "damper between p1 and p2", 0.25),
+    (0.15, 0.0, "dry friction between p1 and p2", 0.15),
+])  # fmt: skip
+def test_what_is_missing_between_two_bodies_is_named_and_is_kept(
+    friction: float, damping: float, named: str, size: float, tmp_path: Path
+) -> None:
+    data = two_bodies(friction, damping, 66002)
+    model = coupled(
+        H="k1*q1**2/2 + k2*q2**2/2 + k*(q1 - q2)**2/2 + p1**2/2 + p2**2/4",
+        R={"p1": "c1", "p2": "c2"},
+    )
+    study = ph.Study(model, data[:2], held_out=data[2:])
+    found = study.diagnose()
+    (finding,) = found.findings
+    assert [str(one) for one in finding.effects] == [named]
+    assert abs(finding.coefficient - size) < 3 * finding.std_error
+    study.add(named)
+    before, after = (step.held_out for step in study.steps)
+    assert before and after and after.rmse < 0.2 * before.rmse
+    study.fit.save(tmp_path / "fit.json")
+    again = ph.Fit.load(tmp_path / "fit.json")
+    assert again.model.free == study.fit.model.free
+    assert str(again) == str(study.fit)
+    (law,) = study.record.laws()
+    assert law.x_label == "velocity of q1 - velocity of q2"
+    told = study.fit.sympy()
+    assert {"R_p1_p2", "R_p1", "dp2/dt"} <= told.keys()
