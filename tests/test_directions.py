@@ -1,5 +1,6 @@
 """Terms along directions: what acts between two states takes from one what it gives."""
 
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,75 @@ def test_an_exchange_along_the_efforts_of_each_other_is_one_of_s() -> None:
             ph.PseudoHamiltonian(**{**TWO_MASSES, "S": S}, H=ENERGY), x, **values
         )
         np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_an_entry_of_s_is_learned_and_the_others_go() -> None:
+    """A charged particle in a field B(x): its two momenta exchange energy."""
+    rng = np.random.default_rng(66004)
+    names = ["x", "y", "p", "r"]
+
+    def motion(t: float, z: np.ndarray) -> list[float]:
+        x, y, p, r = z
+        field = 0.8 + 0.3 * x**2
+        return [p, r, -x + field * r, -2 * y - field * p]
+
+    t = np.linspace(0.0, 12.0, 241)
+    runs = []
+    for start in rng.normal(size=(3, 4)):
+        runs.append(solve_ivp(motion, (0, 12), start, t_eval=t, rtol=1e-11).y.T)
+    data = ph.Measurements.from_arrays([t] * 3, runs, states=names)
+    S: dict[Any, Any] = {("x", "p"): 1, ("y", "r"): 1.0}
+    S["p", "r"] = ph.polynomials(["x", "y"], 2, constant=True)
+    model = ph.PseudoHamiltonian(
+        states=names, S=S, H="k1*x**2/2 + k2*y**2/2 + p**2/2 + r**2/2"
+    )
+    fit = ph.identify(model, data, ph.PHSILoss(), l1=1e-5, pruning=ph.Pruning(0.01))
+    assert fit.values["S_p_r"] == pytest.approx(0.8, abs=1e-3)
+    assert fit.values["S_p_r[x**2]"] == pytest.approx(0.3, abs=1e-3)
+    assert set(fit.model.free) == {"k1", "k2", "S_p_r", "S_p_r[x**2]"}
+
+
+@pytest.mark.parametrize("S", [
+    {("q1", "q9"): 1}, {("q1",): 1}, {"q1": 1}, {("q1", "q1"): 1},
+    {("q1", "p1"): 1, ("p1", "q1"): "a"},
+])  # fmt: skip
+def test_what_is_no_entry_of_s_is_refused(S: Any) -> None:
+    with pytest.raises(ph.ModelError, match="S has an entry for"):
+        coupled_by(S)
+
+
+def coupled_by(S: Any) -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(states=TWO_MASSES["states"], S=S, H=ENERGY)
+
+
+def test_a_rigid_body_turns_at_one_energy_and_one_size_of_momentum() -> None:
+    """Euler's equations: S(x) of the three momenta, whose norm is a Casimir."""
+    H = "x**2/2 + y**2/4 + z**2/6"
+    S = {("x", "y"): "-z", ("x", "z"): "y", ("y", "z"): "-x"}
+    body = ph.PseudoHamiltonian(states=["x", "y", "z"], S=S, H=H)
+    rng = np.random.default_rng(66005)
+    for m in rng.normal(size=(5, 3)):
+        velocity = m / [1.0, 2.0, 3.0]
+        np.testing.assert_allclose(rates(body, m), np.cross(m, velocity), rtol=1e-12)
+    assert "dx/dt = dH_dy*S_x_y + dH_dz*S_x_z" in str(body)
+
+
+def test_kepler_is_the_same_by_the_structure_of_the_thesis() -> None:
+    """Thesis Equation 2.29 with H of 2.36: S = (g e' - e g')/|e|^2, e = grad H."""
+    states = ["x", "y", "p", "r"]
+    cubed = "(x**2 + y**2)**1.5"
+    g = ["p", "r", f"-x/{cubed}", f"-y/{cubed}"]
+    e = [f"x/{cubed}", f"y/{cubed}", "p", "r"]
+    norm = "(1/(x**2 + y**2)**2 + p**2 + r**2)"
+    S = {}
+    for i, j in combinations(range(4), 2):
+        S[states[i], states[j]] = f"(({g[i]})*({e[j]}) - ({e[i]})*({g[j]}))/{norm}"
+    H = "(p**2 + r**2)/2 - 1/sqrt(x**2 + y**2)"
+    found = ph.PseudoHamiltonian(states=states, S=S, H=H)
+    usual = ph.PseudoHamiltonian(states=states, S=ph.canonical(2), H=H)
+    rng = np.random.default_rng(66006)
+    for x in rng.normal(size=(10, 4)):
+        np.testing.assert_allclose(rates(found, x), rates(usual, x), rtol=1e-9)
 
 
 def test_units_follow_the_direction() -> None:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.arguments import typed
-from phsi_opt.errors import ModelError
+from phsi_opt.errors import ModelError, shown
 from phsi_opt.model.base import BaseModel, checked_structure
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
@@ -60,7 +60,9 @@ class Model(BaseModel, Summarised):
         memory: Sequence[str] = (),
         kind: str | Mapping[str, str] | None = None,
     ) -> None:
-        terms: dict[str, Any] = {"R": R or {}, "F": F or {}, "sensor": sensor or {}}
+        S, exchanges = _split_structure(S, states)
+        F = {**(F or {}), **exchanges}
+        terms: dict[str, Any] = {"R": R or {}, "F": F, "sensor": sensor or {}}
         terms["H"] = Dictionary() if H is None else H
         terms |= {"S": S, "kind": {} if kind is None else kind}
         super().__init__(states=states, inputs=inputs, memory=memory, **terms)
@@ -127,6 +129,37 @@ class Model(BaseModel, Summarised):
         return self.built((name, *key), lambda: function_of(self, name, value))
 
 
+def _split_structure(S: Any, states: Sequence[str]) -> tuple[Any, dict[str, Terms]]:
+    """The numbers of a mapping of entries as a matrix; its terms along directions.
+
+    Raises:
+        ModelError: a key is no pair of two states, or an entry is given twice.
+    """
+    if not isinstance(S, Mapping):
+        return S, {}
+    names = list(states)
+    matrix = np.zeros((len(names), len(names)))
+    exchanges: dict[str, Terms] = {}
+    known: set[frozenset[str]] = set()
+    for pair, entry in S.items():
+        is_pair = isinstance(pair, tuple) and len(set(pair) & set(names)) == 2 == len(
+            pair
+        )
+        if not is_pair or frozenset(pair) in known:
+            raise ModelError(
+                f"S has an entry for {shown(pair)}; expected pairs of two states "
+                f"({', '.join(names)}), each once: S[j, i] = -S[i, j] by itself."
+            )
+        known.add(frozenset(pair))
+        row, column = pair
+        if isinstance(entry, Dictionary | str):
+            exchanges[f"dH_d{column}*{row} - dH_d{row}*{column}"] = entry
+            continue
+        matrix[names.index(row), names.index(column)] = entry
+        matrix[names.index(column), names.index(row)] = -entry
+    return matrix, exchanges
+
+
 @dataclass(frozen=True, kw_only=True, init=False, repr=False)
 class PseudoHamiltonian(Model):
     """A model with an energy H.
@@ -135,12 +168,15 @@ class PseudoHamiltonian(Model):
 
         dx/dt = (S - R(x)) grad H(x) + F(x, t, u)
 
-    S is constant and skew-symmetric, R is symmetric: a sum of r(x) b b', where the
-    direction b is a state or a sum of states.
+    S is skew-symmetric, R is symmetric: a sum of r(x) b b', where the direction b is a
+    state or a sum of states.
 
     Args:
         states: names of the states.
-        S: (n_states, n_states) matrix, see `canonical`.
+        S: (n_states, n_states) matrix, see `canonical`; or the entries above or below
+            the diagonal, ``{("q", "p"): 1, ("p1", "p2"): "g*B"}``, a number or terms
+            each. Terms exchange energy without loss, whatever they are: they stand in
+            F, along ``"dH_dp2*p1 - dH_dp1*p2"``, and are called S_p1_p2.
         H: dictionary of terms in the states.
         R: per equation, the terms of the diagonal entry R_ii(x) >= 0; the loss is
             R_ii dH/dx_i. Or along a direction: ``R={"p1 - p2": "d"}`` is a damper
