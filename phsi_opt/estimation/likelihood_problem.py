@@ -123,12 +123,12 @@ class LikelihoodProblem:
             there = self.continued(start)
             found.append(self.solve(start if there is None else there))
             return likeliest(found)
-        most_steps = None if settings.thorough else STEPS_OF_A_PROBLEM
+        is_near = start.is_optimum and not settings.thorough
+        most_steps = STEPS_OF_A_PROBLEM if is_near else None
         near = self.solve(start, most_steps=most_steps)
         if near.is_success:
             return near
-        is_brief = start.is_optimum and not settings.thorough
-        there = self.continued(start, SMALL_FORCES if is_brief else FORCE_SIZES)
+        there = self.continued(start, SMALL_FORCES if is_near else FORCE_SIZES)
         return near if there is None else self.solve(there, most_steps=most_steps)
 
     def continued(
