@@ -511,6 +511,7 @@ def _hidden_heat(name: str, C1: float, C2: float) -> Hidden:
         COUPLING: (
             Truth(("heat exchange with T2",), ("T1",), 1 / C1),
             Truth(("heat exchange with T1",), ("T2",), 1 / C2),
+            Truth(("exchange of heat between T1 and T2",), ("",)),
         ),
         RADIATION: (Truth(("quadratic heat loss",), ("T1",), 1 / C1),),
     }

@@ -6,6 +6,7 @@ Truth is simulated here by SciPy, from formulas of its own, never by the package
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -30,7 +31,7 @@ class Truth:
 
     Attributes:
         names: All that are the same term in the equation.
-        equations: Those that are right.
+        equations: Those that are right; "" where the name tells between which states.
         coefficient: The catalogue's; NaN where it counts something else.
     """
 
@@ -46,7 +47,8 @@ class Truth:
     @property
     def places(self) -> set[str]:
         """The names that are right, as a diagnosis prints them."""
-        return {f"{name} on {at}" for name in self.names for at in self.equations}
+        every = product(self.names, self.equations)
+        return {f"{name} on {at}" if at else name for name, at in every}
 
 
 @dataclass(frozen=True, eq=False)
