@@ -9,6 +9,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.criteria import DECISIVE_EVIDENCE
 from phsi_opt.diagnosis.candidate import Grade
+from phsi_opt.estimation.record import Record
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model_error.joint_estimate import JointPoint
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
@@ -359,3 +360,20 @@ def test_screening_expects_no_gain_of_a_sensor_from_what_forces_can_do() -> None
     assert found.gain < 0 and without.gain > 10
     evidence = record.weighed(found.model, found.values).log_evidence
     assert evidence < record.base.log_evidence
+
+
+def test_a_force_of_a_model_without_the_memory_serves_the_list_without_force() -> None:
+    rng = np.random.default_rng(66007)
+    t = np.linspace(0.0, 10.0, 101)
+    q = np.cos(2 * t) * np.exp(-0.1 * t) + 0.01 * rng.standard_normal(101)
+    states = np.column_stack([q, np.full(101, np.nan)])
+    data = ph.Measurements.from_arrays([t], [states], states=["q", "p"])
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H="k*q**2/2 + p**2/2", R={"p": "c"}
+    )
+    base = ph.identify(model, data)
+    larger = ph.identify(base.model.add("hysteresis"), data, start=base)
+    record = Record.of(base, data).refitted(larger)
+    assert record.estimate.x.shape[1] == 2
+    linearized = LinearizedRecord.without_force(record)
+    assert linearized.states.shape == (101, 3)

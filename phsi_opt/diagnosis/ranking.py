@@ -179,7 +179,9 @@ def rank_again(
     and explains anything.
     """
     base.say("weighing the most likely effects from their own fits")
-    hard = screened_beside(LinearizedRecord.without_force(base.record), effects)
+    hard: list[Screened] = []
+    with suppress(SolveError):  # a state acts on nothing that was measured
+        hard = screened_beside(LinearizedRecord.without_force(base.record), effects)
     known = ranking.screened | {str(one.effect): one for one in hard}
     first = [str(one.effect) for one in hard[:MOST_LEADERS]]
     second = [one.name for one in ranking.candidates[:MOST_LEADERS]]

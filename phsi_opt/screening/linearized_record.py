@@ -63,9 +63,11 @@ class LinearizedRecord:
         model = record.model.with_values(estimate.rounded)
         unknown = Theta.of(model, record.runs)
         theta = unknown.stacked(record.theta)
-        states = with_memory(model, estimate.grid, estimate.x, record.theta)
-        point = point_at(model, estimate.grid, unknown, theta, states)
-        values = LikelihoodValues(model, estimate.grid, SCHEME, point, unknown)
+        # The missing force may be that of a model without the memory of this one.
+        grid = record.aligned.for_model(model).grid
+        states = with_memory(model, grid, estimate.x, record.theta)
+        point = point_at(model, grid, unknown, theta, states)
+        values = LikelihoodValues(model, grid, SCHEME, point, unknown)
         n_more = model.n_states - len(estimate.sigma)
         noise = np.r_[estimate.sigma, np.ones(n_more)]
         disturbances = Disturbances(np.tile(noise, (len(record.runs), 1)))
