@@ -44,6 +44,22 @@ def test_a_loss_and_a_force_along_a_direction_act_in_all_its_equations() -> None
     assert "dp2/dt = - dH_dq2 - R_p2_p1*(dH_dp2 - dH_dp1) + F_p2 - s/2*F" in said
 
 
+def test_a_factor_that_is_a_sum_is_printed_in_brackets() -> None:
+    model = coupled(F={"p1 - (1 + s)*p2": "a*q1"})
+    assert "- (1 + s)*F_p1" in str(model)
+
+
+def test_an_effect_is_told_whatever_its_place() -> None:
+    push = ph.formula("c", c=ph.Parameter())
+    for place in ("", "q q(", "p1 - p2"):
+        assert str(ph.Effect("push", "F", place, push)) == f"push on {place}"
+    assert (
+        str(ph.Effect("rod from p1 to p2", "F", "p1 - p2", push)) == "rod from p1 to p2"
+    )
+    with pytest.raises(ph.ModelError, match="equation '' is not a state"):
+        coupled().rows("")
+
+
 def test_what_it_takes_from_one_the_other_gets_and_losses_are_no_supply() -> None:
     rng = np.random.default_rng(66001)
     model = coupled(R={"p1 - p2": "d*(1 + q1**2)"}, F={"p1 - p2": "a*q2"})
@@ -121,6 +137,12 @@ def test_an_entry_of_s_is_learned_and_the_others_go() -> None:
 def test_what_is_no_entry_of_s_is_refused(S: Any) -> None:
     with pytest.raises(ph.ModelError, match="S has an entry for"):
         coupled_by(S)
+
+
+@pytest.mark.parametrize("entry", [None, [1, 2], {}, "a b"])
+def test_an_entry_of_s_is_a_number_or_terms(entry: Any) -> None:
+    with pytest.raises(ph.ModelError):
+        coupled_by({("q1", "p1"): entry})
 
 
 def coupled_by(S: Any) -> ph.PseudoHamiltonian:

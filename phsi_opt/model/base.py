@@ -181,10 +181,10 @@ class BaseModel:
 
     @typed
     def rows(self, equation: str) -> tuple[int, ...]:
-        """Positions of the states in whose equations a term acts; "": of none."""
-        if equation in self.states:
-            return (self.states.index(equation),)
-        parts = direction_parts(equation, tuple(self.states)) if equation else ()
+        """Positions of the states in whose equations a term acts."""
+        if equation.isidentifier() or not equation:
+            return (self.index(equation, "equation"),)
+        parts = direction_parts(equation, tuple(self.states))
         return tuple(self.states.index(part.state) for part in parts)
 
     def terms_at(self, slot: str, equation: str) -> Dictionary:

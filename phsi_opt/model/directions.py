@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.model.expressions import names_of, parse
+from phsi_opt.model.expressions import names_of, needs_brackets, parse
 
 ONE = "1"
 
@@ -28,7 +28,10 @@ class Part(NamedTuple):
 
     def times(self, what: str) -> str:
         """A product with the factor, as text without its sign."""
-        return what if self.factor == ONE else f"{self.factor}*{what}"
+        if self.factor == ONE:
+            return what
+        factor = f"({self.factor})" if needs_brackets(self.factor) else self.factor
+        return f"{factor}*{what}"
 
 
 @lru_cache(maxsize=1024)

@@ -3,6 +3,7 @@
 The record only; which effects there are is in the tables of ``laws``.
 """
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
@@ -73,7 +74,8 @@ class Effect:
         """Whether it acts along a direction of which its name tells the states."""
         if self.equation.isidentifier():
             return False
-        return len(names_of(self.equation).intersection(self.name.split())) > 1
+        words = set(re.findall(r"\w+", self.equation))
+        return len(words.intersection(self.name.split())) > 1
 
     @property
     def names(self) -> set[str]:

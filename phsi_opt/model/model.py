@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from phsi_opt.arguments import typed
+from phsi_opt.arguments import is_of, require, typed
 from phsi_opt.errors import ModelError, shown
 from phsi_opt.model.base import BaseModel, checked_structure
 from phsi_opt.model.catalogue import effect_named
@@ -155,6 +155,7 @@ def _split_structure(S: Any, states: Sequence[str]) -> tuple[Any, dict[str, Term
         if isinstance(entry, Dictionary | str):
             exchanges[f"dH_d{column}*{row} - dH_d{row}*{column}"] = entry
             continue
+        require(is_of(entry, float), f"S[{pair!r}]", entry, "a number or terms")
         matrix[names.index(row), names.index(column)] = entry
         matrix[names.index(column), names.index(row)] = -entry
     return matrix, exchanges

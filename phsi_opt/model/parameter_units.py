@@ -67,7 +67,7 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
         if isinstance(guess, Scan) and guess.variable == "t":
             told[name] = f"{RADIAN}/{time}" if time else parameter.unit
         else:
-            rows = model.rows(entry.equation)
+            rows = model.rows(entry.equation) if entry.equation else ()
             of_state = model.states[rows[0]] if rows else ""
             named = named_units(of_state, model, units)
             told[name] = coefficient_unit(found[name], named)
@@ -241,7 +241,7 @@ class Equations:
     def _say_term(self, placed: PlacedTerm) -> None:
         """A term has the unit of its slot."""
         slot, equation, _ = placed
-        rows = self._model.rows(equation)
+        rows = self._model.rows(equation) if equation else ()
         first = self._model.states[rows[0]] if rows else equation
         names = self._names({first: 1.0, "t": -1.0})
         quantities = {name: _Quantity(self, form) for name, form in names.items()}
