@@ -570,8 +570,11 @@ def is_explained(base: Comparison, trained: Comparison, judged: Comparison) -> b
     Its residuals on the training record look like noise, or are as small as the noise
     there and on the record that judges, where ``base`` is the smaller model. Noise that
     lasts must have been seen beside that too: an effect that imitates another one
-    leaves residuals that look like it.
+    leaves residuals that look like it. Where the record that judges shows surely more
+    than noise, nothing is explained.
     """
+    if is_surely_failing(judged):
+        return False
     has_lasting = base.record.shows_correlated_noise
     if is_white_noise(trained) or (has_lasting and is_like_noise(trained)):
         return True

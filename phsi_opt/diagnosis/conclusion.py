@@ -37,7 +37,7 @@ from phsi_opt.diagnosis.candidate import (
     class_of,
 )
 from phsi_opt.diagnosis.data_causes import data_cause
-from phsi_opt.diagnosis.ranking import Ranking, rank_again, ranked
+from phsi_opt.diagnosis.ranking import Ranking, rank_again, rank_functions, ranked
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import (
     DiagnosedModel,
@@ -48,6 +48,7 @@ from phsi_opt.diagnosis.refit import (
 from phsi_opt.diagnosis.search import Search
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect, is_wave
+from phsi_opt.model.functions import is_function
 from phsi_opt.presentation.numbers import enumerated
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -57,10 +58,17 @@ UNSURE = "its size, {}, does not differ significantly from zero"
 
 
 def concluded(
-    base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
+    base: DiagnosedModel,
+    record: EvidenceRecord,
+    effects: Sequence[Effect],
+    functions: bool,
 ) -> Diagnosis:
-    """The diagnosis of a model, with evidence beside a record, by these effects."""
-    return _Judge(base, effects, ranked(base, record, effects)).concluded()
+    """The diagnosis of a model, with evidence beside a record, by these effects.
+
+    Where they leave something unexplained, by unknown ``functions`` too.
+    """
+    ranking = ranked(base, record, effects)
+    return _Judge(base, effects, ranking, functions).concluded()
 
 
 def without_evidence(base: DiagnosedModel, error: SolveError) -> Diagnosis:
@@ -86,6 +94,11 @@ class _Proposal:
     alike: Mapping[str, Sequence[Effect]] = field(default_factory=dict)
 
     @property
+    def has_function(self) -> bool:
+        """Whether one of them is an unknown function."""
+        return any(map(is_function, self.effects))
+
+    @property
     def of_force(self) -> float:
         """Share of the missing force (mean square) that they take over."""
         return max(1 - self.force_left**2, 0.0)
@@ -98,6 +111,7 @@ class _Judge:
     base: DiagnosedModel
     effects: Sequence[Effect]
     ranking: Ranking
+    functions: bool
     refits: dict[str, DiagnosedModel] = field(default_factory=dict)
 
     def concluded(self) -> Diagnosis:
@@ -107,8 +121,12 @@ class _Judge:
                 return self.without_effect(Verdict.NOTHING_MISSING)
             rank_again(self.base, self.ranking, self.effects)
             single = self.single()
+        if self.functions and (single is None or not single.is_complete):
+            rank_functions(self.base, self.ranking)
+            single = self.single()
         several = None
-        if single is None or not single.is_complete:
+        # What a function of many numbers explains a few laws may explain better.
+        if single is None or not single.is_complete or single.has_function:
             several = self.several(single)
         # As long as a force remains, a further law may stand in for what is missing.
         ordered = [single, several]
@@ -139,7 +157,8 @@ class _Judge:
         # Of those that the evidence does not tell from the likeliest the one with
         # fewest unknowns, and that the catalogue has first.
         while tied := self.tied():
-            tied.sort(key=lambda one: self.effects.index(one.effect))
+            names = [*map(str, self.effects), *self.ranking.screened]
+            tied.sort(key=lambda one: names.index(one.name))
             simplest = min(tied, key=lambda one: one.effect.n_unknowns)
             place = self.candidates.index(simplest)
             # Judged is what a study would add.
@@ -259,7 +278,7 @@ class _Judge:
                 f"it explains only {100 * proposal.of_force:.0f} % of what is missing "
                 f"(mean square) and {100 * max(0.0, share):.0f} % of the error"
             )
-        return self.rival(proposal)
+        return ""
 
     def is_worse(self, larger: DiagnosedModel) -> bool:
         """Whether a free run is farther off than the base's, and not by noise."""
@@ -300,28 +319,6 @@ class _Judge:
         return (
             f"the quantisation of {', '.join(unresolved)}, whose standard deviation "
             "is less than one step"
-        )
-
-    def rival(self, proposal: _Proposal) -> str:
-        """A law of no catalogue that is far likelier; empty where there is none."""
-        record, model = self.ranking.record, self.base.fit.model
-        first = proposal.effects[0]
-        name = first.equation
-        equation, *others = model.rows(name)
-        alone = record.base
-        places = [force.place for force in alone.disturbances.forces]
-        if first.slot == "sensor" or equation not in places or others:
-            return ""
-        function = record.with_functions(equation)
-        if function is None:
-            return ""
-        gain = function.log_evidence - alone.log_evidence
-        if not proposal.log_evidence < MOST_OF_IT * gain:
-            return ""
-        (kind,) = function.disturbances.functions
-        return (
-            f"an unknown function of {model.states[kind.state]} in d{name}/dt is more "
-            f"likely (log evidence {gain:.1f} against {proposal.log_evidence:.1f})"
         )
 
     # ---- verdicts --------------------------------------------------------------------

@@ -93,9 +93,8 @@ def diagnose(
     if held_out is not None:
         check_can_judge(trained.data, aligned_once(fit.model, held_out))
         judged = compare(fit, held_out)
-    candidates = choice.candidates(fit.model, data.units)
     return diagnose_comparison(
-        trained, judged, effects=candidates, loss=loss, progress=say, executor=executor
+        trained, judged, choice=choice, loss=loss, progress=say, executor=executor
     )
 
 
@@ -103,7 +102,7 @@ def diagnose_comparison(
     trained: Comparison,
     judged: Comparison | None,
     *,
-    effects: list[Effect],
+    choice: EffectChoice,
     loss: MaximumLikelihood | None,
     progress: Progress,
     executor: Executor | None,
@@ -113,21 +112,21 @@ def diagnose_comparison(
     Nothing of the comparisons is computed again.
 
     Raises:
-        ModelError: one of the ``effects`` does not fit the model, or has no free
-            number.
+        ModelError: one of the effects does not fit the model, or has no free number.
     """
     base = DiagnosedModel.of(trained, judged, loss, progress, executor)
+    effects = choice.candidates(base.fit.model, trained.data.units)
     _check_effects(effects, base.fit.model)
     base.say("estimating what is missing together with the model")
     try:
         record = base.evidence_record()
     except SolveError as error:
         return without_evidence(base, error)
-    found = concluded(base, record, effects)
+    found = concluded(base, record, effects, choice.has_functions)
     held = held_base(base, record, found.established)
     if held is None:
         return found
-    found = concluded(held, held.evidence_record(), effects)
+    found = concluded(held, held.evidence_record(), effects, choice.has_functions)
     return replace(found, reason=f"{held.record.aligned.notes[0]}; {found.reason}")
 
 

@@ -17,6 +17,7 @@ from phsi_opt.diagnosis.candidate import Candidate, at_limit
 from phsi_opt.diagnosis.refit import DiagnosedModel, fitted_by_steps
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.functions import unknown_functions
 from phsi_opt.model.laws import said_of
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
@@ -195,6 +196,19 @@ def rank_again(
             weighed = ranking.record.fitted(larger.comparisons, has_force=True)
             ranking.take(base, one, weighed)
     ranking.candidates = _in_order(ranking.candidates)
+
+
+def rank_functions(base: DiagnosedModel, ranking: Ranking) -> None:
+    """Add what was weighed of unknown functions to a ranking."""
+    linearized = LinearizedRecord.beside_force(ranking.record)
+    functions = list(unknown_functions(linearized.model, linearized.range_of))
+    further = _ranked_beside(base, ranking.record, functions)
+    rank_again(base, further, functions)
+    weighed = [one for one in further.candidates if one.was_weighed]
+    ranking.weighed |= further.weighed
+    for one in weighed:
+        ranking.screened[one.name] = further.screened[one.name]
+    ranking.candidates = _in_order([*ranking.candidates, *weighed])
 
 
 def weighed_of(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:

@@ -11,15 +11,13 @@ from difflib import get_close_matches
 from itertools import chain, combinations, permutations, product
 from typing import Any
 
-import casadi as ca
-import numpy as np
-
 from phsi_opt.arguments import typed
 from phsi_opt.errors import ModelError, did_you_mean, some_of
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.directions import normal_direction
-from phsi_opt.model.effect import Effect, EffectList, is_scanned
+from phsi_opt.model.effect import Effect, EffectList
 from phsi_opt.model.expressions import divisors, names_of
+from phsi_opt.model.functions import function_named
 from phsi_opt.model.kinds import KINDS, RADIANS, ZEROS
 from phsi_opt.model.laws import (
     BETWEEN,
@@ -38,6 +36,7 @@ from phsi_opt.model.laws import (
 )
 from phsi_opt.model.parameter_units import drive_of, parameter_units, state_units
 from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.redundancy import is_redundant, stands_in
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
     WORDS,
@@ -50,7 +49,6 @@ from phsi_opt.model.structure import (
     storage_states,
     with_kinds_of_units,
 )
-from phsi_opt.model.symbolic import Expressions, function_of, with_slopes
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.units import are_alike, rate_unit
 
@@ -137,6 +135,8 @@ def effect_named(
     before, _, place = name.rpartition(" on ")
     if equation is None and before and place in model.states:
         name, equation = before, place
+    if equation is not None and (function := function_named(model, name, equation)):
+        return function
     if equation is not None and equation not in [one.equation for one in own]:
         model.index(equation, f"equation of effect {name!r}:")
     found = _called(name, equation, own)
@@ -378,65 +378,6 @@ def _names_between(
     return names | {"along": normal_direction(along, model.states)}
 
 
-# Range of random values for parameters that have none, away from zero.
-PARAMETER_RANGE = (0.5, 1.5)
-# What is left, as a share of the effect: above the rounding of the least squares, far
-# below any effect of its own.
-NOTHING_LEFT = 1e-8
-
-
-def is_redundant(model: BaseModel, effect: Effect) -> bool:
-    """Whether the model can do already what the effect does."""
-    if stands_in(model, effect):
-        return True
-    if not model.free or is_scanned(effect):
-        return False
-    # Whether its slopes are a sum of the slopes of the model's parameters.
-    larger = model.add(effect)
-    is_new = np.array([name not in model.entries for name in larger.free])
-    slopes = _slopes_in_random_states(model, larger)
-    own = slopes[:, ~is_new]
-    added = slopes[:, is_new]
-    weights = np.linalg.lstsq(own, added, rcond=None)[0]
-    left = added - own @ weights
-    return bool(np.linalg.norm(left) < NOTHING_LEFT * np.linalg.norm(added))
-
-
-def stands_in(model: BaseModel, effect: Effect) -> bool:
-    """Whether a term, a coefficient or a memory of the effect is in the model."""
-    bodies = {term.body for term in model.terms_at(effect.slot, effect.equation)}
-    for term in effect.term:
-        if term.body in bodies or term.name in model.entries:
-            return True
-    return not set(effect.memory).isdisjoint(model.states)
-
-
-def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
-    """Slopes of dx/dt and of what is shown in theta, (n_values, n_free)."""
-    random = np.random.default_rng(0)
-    # The model's parameters must explain the effect at one point of theta. The effect's
-    # coefficient is zero there, so that no parameter acts through it.
-    known = model.values
-    values = []
-    for name in larger.free:
-        value = known.get(name) or random.uniform(*PARAMETER_RANGE)
-        is_added = name not in model.entries and larger.entries[name].prunable
-        values.append(0.0 if is_added else value)
-    theta = np.array(values)
-    # With fewer rows than parameters anything would be explained.
-    n = 4 * len(theta) + 20
-    x = random.normal(size=(larger.n_states, n))
-    u = random.normal(size=(larger.n_inputs, n))
-    t = random.uniform(0, 3, (1, n))
-
-    def values_of(parts: Expressions) -> ca.SX:
-        return ca.vertcat(*map(ca.SX, parts.rates), parts.shown)
-
-    function = with_slopes(function_of(larger, "values", values_of), "theta")
-    slopes = function.map("slopes", "serial", n, [3], [])(x, u, t, theta)[1]
-    return np.nan_to_num(np.array(slopes).T.reshape(-1, len(theta)))
-
-
 Given = Sequence[Effect | str]
 
 
@@ -462,6 +403,11 @@ class EffectChoice:
         object.__setattr__(self, "without", tuple(self.without))
         if self.effects is not None:
             object.__setattr__(self, "effects", tuple(self.effects))
+
+    @property
+    def has_functions(self) -> bool:
+        """Whether unknown functions are considered beside the catalogue."""
+        return self.effects is None
 
     def checked(
         self, model: BaseModel, units: Mapping[str, str] | None = None

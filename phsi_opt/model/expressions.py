@@ -40,7 +40,7 @@ class Backend:
 # Names that a formula may call.
 FUNCTIONS = (
     *("sin", "cos", "tan", "atan", "exp", "log"),
-    *("sqrt", "tanh", "abs", "sign", "min", "max"),
+    *("sqrt", "sinh", "tanh", "abs", "sign", "min", "max"),
     "delayed",
 )
 

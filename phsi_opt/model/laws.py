@@ -103,6 +103,12 @@ INNER_PARAMETERS = {
     # Within this share of the typical velocity its absolute value is rounded; that of
     # the hysteresis' state, which stays within -1 and 1, within 0.05.
     "hysteresis_slow_{x}": _width("{e}", 0.02),
+    "relaxation_time_{x}": _tried(
+        *("t", 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.3), most=1.0, unit="s"
+    ),
+    # Over 2 pi the period of a resonance; a quarter more from one to the next.
+    "resonance_time_{x}": _tried("dt", *(0.6 * 1.25**k for k in range(24)), unit="s"),
+    "resonance_damping_{x}": Parameter(0.1, lower=0.0),
     "clipping_{x}": _tried("{x}", *LIMITS, most=1.0),
     "sensor_delay_{x}": DELAY,
 }
@@ -135,6 +141,10 @@ def _bouc_wen(z: str, shape: str = "") -> str:
     return f"({{e}} - ({size} + {back})/2)/hysteresis_width_{{x}}"
 
 
+ABSORBER = (
+    "({q} - {q}_absorber)/resonance_time_{x}**2"
+    " + resonance_damping_{x}*({e} - {q}_absorber_rate)/resonance_time_{x}"
+)
 # By the state that the bodies name.
 MEMORIES: Mapping[str, Mapping[str, str]] = {
     # The force follows the lagged input z: lag dz/dt = u - z.
@@ -146,6 +156,13 @@ MEMORIES: Mapping[str, Mapping[str, str]] = {
     "{x}_second": {"{x}_second": "({x} - {x}_second)/storage_time_constant_{x}"},
     "hysteresis_{x}": {"hysteresis_{x}": _bouc_wen("hysteresis_{x}")},
     "bouc_wen_{x}": {"bouc_wen_{x}": _bouc_wen("bouc_wen_{x}", "bouc_wen_shape_{x}*")},
+    # A spring and a damper in series: z is how far the damper has given way.
+    "{q}_relaxed": {"{q}_relaxed": "({q} - {q}_relaxed)/relaxation_time_{x}"},
+    # A small mass on a spring and a damper, at z with the velocity w.
+    "{q}_absorber": {
+        "{q}_absorber": "{q}_absorber_rate",
+        "{q}_absorber_rate": ABSORBER,
+    },
     "{x}_delayed": READING_MEMORY,
 }
 
@@ -208,6 +225,9 @@ parametric stiffness | 1/4 | -{q} (a sin({omega} t) + b cos({omega} t)) |
 parametric elastance | 1/4 | -{q} (a sin({omega} t) + b cos({omega} t)) |
 hysteresis | 1 | -c z, w dz/dt = {e} - (|{e}| z + {e} |z|)/2 | bouc-wen, presliding
 bouc-wen hysteresis | 1/4 | -c z, w dz/dt = {e} - (|{e}| z + s {e} |z|)/2 | free hysteresis
+maxwell element | 1 | -c ({q} - z), tau dz/dt = {q} - z | viscoelastic, creep, relaxation
+resonance | 1 | -m z'', tau^2 z'' = {q} - z + d tau ({e} - z') | absorber, tuned mass
+unknown | 1/4 | f(z), or -r(z) {e} |
 damper between | 1 | -c {e} | coupling damper, viscous coupling
 dry friction between | 1 | -c sign({e}) | slipping clutch, coupling friction
 gyroscopic coupling between | 1 | c dH/dx2, -c dH/dx1 | Coriolis force, magnetic force
@@ -356,11 +376,20 @@ class Law:
                 for state, rate in rates.items() if first in "".join(terms) else ():
                     rate_term = _term(rate, "formula", names)
                     memory[state.format_map(names)] = Dictionary((rate_term,))
+            # What the rates name is known to the whole model.
+            for one in chain(*memory.values()):
+                added = [_without(term, one.inner) for term in added]
             family = self.family.format_map(names)
         except KeyError:  # the equation has no position, or no such input
             return None
         sum_of_terms = Dictionary(tuple(added))
         return Effect(name, slot, equation, sum_of_terms, memory, family)
+
+
+def _without(term: Term, known: Mapping[str, Parameter]) -> Term:
+    """A term less the parameters that are known already."""
+    own = {name: one for name, one in term.inner.items() if name not in known}
+    return replace(term, inner=own)
 
 
 def _term(
@@ -407,6 +436,7 @@ SHORTHAND = {
     "LATE_READING": LATE_READING,
     "OUTSIDE": "-max({q} - play, 0) + max(-{q} - play, 0)",
     "HELD": "hysteresis_force_{x} >= 0",
+    "ABSORBED": ABSORBER,
     "WAVES": "-{q}*sin({omega}*t); -{q}*cos({omega}*t)",
 }
 
@@ -512,6 +542,8 @@ parametric stiffness | BODY, PIPE | WAVES | a stiffness that changes with the ti
 parametric elastance | COIL | WAVES | a capacitance that changes with the time |
 hysteresis | BODY, PIPE, COIL | -hysteresis_{x} | hysteresis | HELD
 bouc-wen hysteresis | BODY, PIPE, COIL | -bouc_wen_{x} | hysteresis | HELD
+maxwell element | BODY | {q}_relaxed - {q} | a spring that yields | {name}_{x} >= 0
+resonance | BODY | -(ABSORBED) | a resonance | resonance_mass_{x} >= 0
 """,
 )
 # Between storages, and from the surroundings. What the other storage loses by it is an

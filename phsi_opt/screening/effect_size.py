@@ -6,8 +6,10 @@ from functools import reduce
 
 import numpy as np
 
+from phsi_opt.criteria import SURE_DEVIATIONS
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect, is_decay, is_wave
+from phsi_opt.model.functions import along_function, is_function
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.presentation.numbers import estimate_text, number, time_constant_words
@@ -89,12 +91,21 @@ def size_of(
     values: Mapping[str, float],
     covariance: np.ndarray,
 ) -> Size:
-    """Size of an effect; the last of several coefficients, else an inner parameter."""
+    """Size of an effect; the last of several coefficients, else an inner parameter.
+
+    Of an unknown function its value where this is most surely large.
+    """
     if not names:
         return Size(np.nan, np.nan)
     linear = _coefficients(model, names)
     found = np.array([values[names[k]] for k in linear])
     within = covariance[np.ix_(linear, linear)]
+    if is_function(effect):
+        _, shapes = along_function(effect)
+        along = shapes @ found
+        spread = np.sqrt(np.maximum(np.sum(shapes @ within * shapes, axis=1), 0.0))
+        place = int(np.argmax(np.abs(along) - SURE_DEVIATIONS * spread))
+        return Size(float(along[place]), float(spread[place]))
     if not (is_wave(effect) and len(found) == 2):
         return Size(float(found[-1]), _deviation(within[-1, -1]))
     amplitude = float(np.linalg.norm(found))

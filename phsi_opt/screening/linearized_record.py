@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from phsi_opt.estimation.record import Record
+from phsi_opt.initialization.relative_guesses import values_at
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.disturbances import Disturbances
@@ -117,6 +118,11 @@ class LinearizedRecord:
     def parameters(self) -> np.ndarray:
         """Values of the free parameters, (n_free, n_trajectories)."""
         return np.asarray(self.theta[self.unknown.table])
+
+    def range_of(self, quantity: str) -> tuple[float, float]:
+        """Its least and its largest value along the record, to three digits."""
+        values = values_at(self.model, self.grid, self.states, quantity)
+        return float(f"{values.min():.3g}"), float(f"{values.max():.3g}")
 
     @cached_property
     def defects(self) -> np.ndarray:

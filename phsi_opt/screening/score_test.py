@@ -277,8 +277,14 @@ def _refined(sensitivities: Sensitivities, best: _Point) -> _Point:
 
 
 def _finer(values: np.ndarray, best: float) -> np.ndarray:
-    """The best value and a point towards each neighbour, geometrically half way."""
+    """The best value and a point towards each neighbour, half way.
+
+    Geometrically, where all values are positive.
+    """
     place = int(np.argmin(np.abs(values - best)))
+    if not values[0] > 0:
+        near = values[max(place - 1, 0) : place + 2]
+        return np.unique([best, *((near + best) / 2)])
     below = values[place - 1] if place else best**2 / values[1]
     above = values[min(place + 1, len(values) - 1)]
     around = [best, np.sqrt(below * best), np.sqrt(above * best)]

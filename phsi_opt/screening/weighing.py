@@ -31,7 +31,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.ascent import SETTLED_EVIDENCE, climbed
-from phsi_opt.model_error.disturbances import Coordinates, Disturbances, StateFunction
+from phsi_opt.model_error.disturbances import Coordinates, Disturbances
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import (
@@ -511,28 +511,6 @@ class EvidenceRecord:
             disturbances=sizes if has_force else replace(sizes, forces=()),
         )
         return self.weighing.weighed(start)
-
-    def with_functions(self, equation: int) -> Weighed | None:
-        """The base with an unknown smooth function of one state in an equation.
-
-        The most likely of them; None where there is none.
-        """
-        base = self.base
-        best = None
-        rates = self.weighing.aligned.grid.rates(base.states)
-        size = float(np.sqrt(np.mean(rates[:, equation] ** 2)))
-        for state, name in enumerate(base.model.states):
-            if name in base.model.memory:
-                continue
-            function = StateFunction(equation, state, size)
-            sizes = replace(base.disturbances, functions=(function,))
-            try:
-                found = self.weighing.weighed(replace(base, disturbances=sizes))
-            except SolveError:
-                continue
-            if best is None or found.log_evidence > best.log_evidence:
-                best = found
-        return best
 
     def likelihood(self, weighed: Weighed) -> MarginalLikelihood:
         """The record linearised where a model is most likely.

@@ -199,7 +199,7 @@ class Study(Summarised):
         found = known or diagnose_comparison(
             step.train,
             step.held_out,
-            effects=choice.candidates(self.model, self.train.units),
+            choice=choice,
             loss=record.loss,
             progress=self._say,
             executor=executor,
