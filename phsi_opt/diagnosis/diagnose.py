@@ -3,11 +3,13 @@
 1. The missing force along every trajectory, with the states it implies.
 2. The model is weighed beside that force: how likely are the measurements?
 3. Every effect of the catalogue is screened by the slope of that evidence; those that
-   may raise it are weighed beside the force that they leave.
+   may raise it are weighed beside the force that they leave. Where none explains what
+   is missing, unknown functions of one quantity are.
 4. The verdict: an effect whose evidence is decisive is named, with those that the data
    do not tell from it, and re-fitted; whether a force remains beside it is said.
 """
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
@@ -42,6 +44,7 @@ def diagnose(
     *,
     effects: Given | None = None,
     without: Given = (),
+    kinds: Sequence[str] | None = None,
     loss: MaximumLikelihood | None = None,
     progress: Progress | None = None,
     executor: Executor | None = None,
@@ -58,6 +61,10 @@ def diagnose(
             (in every equation that can have it) or ``"coulomb friction on p"``;
             default: `catalogue` of the model.
         without: effects to exclude, in the same form.
+        kinds: which of "catalogue" (effects in one equation), "couplings" (between two
+            states), "storages" (that nobody measures) and "functions" (unknown ones of
+            one quantity, asked where no effect explains what is missing) are
+            candidates; default: all, without functions where ``effects`` are given.
         loss: how candidates are re-fitted; default `MaximumLikelihood`. A random force
             in the equations (``model_error=True``) would hide a missing force; it is
             omitted, and a fit with such a force is repeated without it.
@@ -87,7 +94,8 @@ def diagnose(
     say = progress or silent
     say("estimating what is missing")
     fit = fit_of(fit, data, "diagnose")
-    choice = EffectChoice(effects, without).checked(fit.model, data.units)
+    among = None if kinds is None else tuple(kinds)
+    choice = EffectChoice(effects, without, among).checked(fit.model, data.units)
     trained = compare(fit, data)
     judged = None
     if held_out is not None:
@@ -115,7 +123,7 @@ def diagnose_comparison(
         ModelError: one of the effects does not fit the model, or has no free number.
     """
     base = DiagnosedModel.of(trained, judged, loss, progress, executor)
-    effects = choice.candidates(base.fit.model, trained.data.units)
+    effects = choice.candidates(base.fit.model, base.record.data.units)
     _check_effects(effects, base.fit.model)
     base.say("estimating what is missing together with the model")
     try:

@@ -11,13 +11,13 @@ from difflib import get_close_matches
 from itertools import chain, combinations, permutations, product
 from typing import Any
 
-from phsi_opt.arguments import typed
+from phsi_opt.arguments import require_known, typed
 from phsi_opt.errors import ModelError, did_you_mean, some_of
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.directions import normal_direction
 from phsi_opt.model.effect import Effect, EffectList
 from phsi_opt.model.expressions import divisors, names_of
-from phsi_opt.model.functions import function_named
+from phsi_opt.model.functions import NAME, function_named
 from phsi_opt.model.kinds import KINDS, RADIANS, ZEROS
 from phsi_opt.model.laws import (
     BETWEEN,
@@ -31,6 +31,7 @@ from phsi_opt.model.laws import (
     OVERFLOWS,
     SENSORS,
     SPILLS,
+    STORAGES,
     Law,
     said_of,
 )
@@ -379,6 +380,16 @@ def _names_between(
 
 
 Given = Sequence[Effect | str]
+EFFECT_KINDS = ("catalogue", "couplings", "functions", "storages")
+
+
+def effect_kind(effect: Effect) -> str:
+    """The kind of an effect, one of `EFFECT_KINDS`."""
+    if NAME.fullmatch(effect.name):
+        return "functions"
+    if not effect.equation.isidentifier():
+        return "couplings"
+    return "storages" if effect.family in STORAGES else "catalogue"
 
 
 @typed
@@ -391,23 +402,30 @@ class EffectChoice:
             such as ``"coulomb friction on p"``; None: all of the catalogue. A name
             without a place means every equation in which the catalogue has it.
         without: those never considered, in the same words.
+        kinds: those of which effects are considered; None: all, and of ``effects`` that
+            are given no unknown functions.
 
     Raises:
-        ModelError: something else than a list of effects and names.
+        ModelError: something else than a list of effects and names; an unknown kind.
     """
 
     effects: Given | None = None
     without: Given = ()
+    kinds: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
+        for kind in self.kinds or ():
+            require_known(kind, EFFECT_KINDS, f"kind {kind!r} of effects is unknown")
         object.__setattr__(self, "without", tuple(self.without))
         if self.effects is not None:
             object.__setattr__(self, "effects", tuple(self.effects))
 
     @property
     def has_functions(self) -> bool:
-        """Whether unknown functions are considered beside the catalogue."""
-        return self.effects is None
+        """Whether unknown functions are considered too."""
+        if self.kinds is None:
+            return self.effects is None
+        return "functions" in self.kinds
 
     def checked(
         self, model: BaseModel, units: Mapping[str, str] | None = None
@@ -437,7 +455,9 @@ class EffectChoice:
         for one in self.without:
             every = [*considered, *offered]
             without += _as_offered(one, every, model, units, "without")
-        return EffectChoice(None if self.effects is None else effects, without)
+        return replace(
+            self, effects=None if self.effects is None else effects, without=without
+        )
 
     def candidates(
         self, model: BaseModel, units: Mapping[str, str] | None = None
@@ -449,6 +469,7 @@ class EffectChoice:
         kept: list[Effect] = []
         for effect in considered:
             is_out = any(_meant(one, [effect]) for one in self.without)
+            is_out |= self.kinds is not None and effect_kind(effect) not in self.kinds
             if not is_out and not stands_in(model, effect) and effect not in kept:
                 kept.append(effect)
         return kept

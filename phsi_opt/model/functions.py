@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import qr
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
@@ -133,6 +134,10 @@ class _Place:
             lacking = WORDS[role_of(self.model, self.equation)][0]
         return f"unknown {lacking} {self.kind}({self.z})"
 
+    @property
+    def coefficient(self) -> str:
+        return f"{self.kind}_{self.z}_on_{self.equation}"
+
     def body(self, shape: str) -> str:
         if self.kind == "f":
             return shape
@@ -148,7 +153,8 @@ class _Place:
         for key in sorted(names_of(formula).difference(known - INNER.keys())):
             shares = INNER.get(key)
             inner[key] = Parameter(guess=Tried(self.z, shares) if shares else None)
-        return self.effect(name, Term(self.body(formula), Parameter(), inner))
+        body = self.body(formula)
+        return self.effect(name, Term(body, Parameter(), inner, self.coefficient))
 
     def bells(self, name: str, n: int, along: Range) -> Effect:
         """A sum of n bells, each less the line that the model has."""
@@ -164,15 +170,16 @@ class _Place:
         straight = np.zeros((n, 2))
         straight[:, has_line] = np.linalg.lstsq(line, values, rcond=None)[0].T
         # Each line that is taken away leaves one bell less that is independent.
-        kept = np.linspace(0, n - 1, n - sum(has_line)).round().astype(int)
-        stem = f"{self.kind}_{self.z}_on_{self.equation}"
+        left = values - line @ straight[:, has_line].T
+        _, order = qr(left, mode="r", pivoting=True)
+        kept = np.sort(order[: n - sum(has_line)])
         terms = []
         for number, k in enumerate(kept.tolist()):
             shape = f"exp(-(({self.z}{_less(centres[k])})/{step:.6g})**2)"
             constant, slope = straight[k].tolist()
             shape += _less(constant) + (f"{_less(slope)}*{self.z}" if slope else "")
             body = self.body(shape)
-            terms.append(Term(body, Parameter(), name=f"{stem}_{number}"))
+            terms.append(Term(body, Parameter(), name=f"{self.coefficient}_{number}"))
         return self.effect(name, *terms)
 
 

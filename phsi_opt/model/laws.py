@@ -40,6 +40,7 @@ from phsi_opt.model.structure import Role
 from phsi_opt.model.terms import Dictionary, Term
 
 SECOND_STORAGE = "a storage that is not measured"
+STORAGES = (SECOND_STORAGE, "a spring that yields", "a resonance")
 
 # ---- parameters inside the bodies ----------------------------------------------------
 

@@ -1,0 +1,214 @@
+"""Unknown functions of one quantity, formulas that they read like, hidden storages."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import phsi_opt as ph
+from phsi_opt.model.catalogue import effect_kind
+from phsi_opt.model.functions import (
+    along_function,
+    function_named,
+    is_function,
+    unknown_functions,
+)
+from phsi_opt.model.parameter_units import parameter_units
+from phsi_opt.screening.effect_size import fitted_size
+
+BELLS = "unknown loss r(q) of 8 bells from -1 to 2"
+UNITS = {"t": "s", "q": "m", "u": "N"}
+Law = Callable[..., float]
+
+
+MASS = ph.Parameter(1.5, fixed=True, unit="kg")
+
+
+def spring() -> ph.PseudoHamiltonian:
+    """A driven mass of 1.5 kg whose stiffness and damper are not known."""
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", m=MASS, k=ph.Parameter()),
+        R={"p": "c"},
+        F={"p": "u"},
+    )
+
+
+def measured(law: Law, memory: Law | None = None, seed: int = 5) -> ph.Measurements:
+    """Three runs of the spring with a further force, 1 % of noise on the position."""
+    rng = np.random.default_rng(seed)
+    step, n = 0.05, 300
+    t = step * np.arange(n)
+    runs, inputs = [], []
+    for _ in range(3):
+        u = np.repeat(rng.uniform(-8, 8, n // 10), 10)
+
+        def rates(now: float, x: np.ndarray, u: np.ndarray = u) -> list[float]:
+            push = u[min(int(now / step + 1e-9), n - 1)]
+            q, v, *z = x
+            force = push - 12 * q - 0.4 * v + law(q, v, *z)
+            return [v, force / 1.5, *(memory(q, v, *z) if memory else [])]
+
+        start = [0.4, 0.0] + [0.0] * (2 if memory else 0)
+        found = solve_ivp(rates, (0, t[-1]), start, t_eval=t, max_step=step, rtol=1e-7)
+        runs.append(found.y[0])
+        inputs.append(u)
+    noise = 0.01 * np.std(runs)
+    noisy = [q + noise * rng.standard_normal(n) for q in runs]
+    return ph.Measurements.from_arrays(
+        [t] * 3, noisy, inputs, states=["q"], inputs=["u"], hold="zero", units=UNITS
+    )
+
+
+def diagnosed(data: ph.Measurements, **choice: Any) -> ph.Diagnosis:
+    fit = ph.identify(spring(), data[:2])
+    return ph.diagnose(fit, data[:2], held_out=data[2:], **choice)
+
+
+# ---- by their names
+
+
+def test_what_is_proposed_is_known_by_its_name() -> None:
+    proposed = list(unknown_functions(spring(), lambda _: (-1.5, 2.0)))
+    names = [str(one) for one in proposed]
+    assert len(set(names)) == len(names) > 20
+    assert {"unknown loss r(q) of 6 bells from -1.5 to 2 on p"} < set(names)
+    assert {"unknown force f(dH_dp) like c*max(dH_dp - limit, 0) on p"} < set(names)
+    for effect in proposed:
+        assert function_named(spring(), effect.name, "p") == effect
+        assert effect_kind(effect) == "functions"
+    assert spring().add(names[0]) == spring().add(proposed[0])
+
+
+def test_bells_leave_out_what_the_model_has() -> None:
+    loss = function_named(spring(), BELLS, "p")
+    force = function_named(spring(), BELLS.replace("loss r", "force f"), "p")
+    assert loss is not None and force is not None
+    assert is_function(loss) and is_function(force)
+    # The damper is a constant loss, and the spring a line; there is no constant force.
+    assert (len(loss.term), len(force.term)) == (7, 7)
+    z, values = along_function(loss)
+    assert (z[0], z[-1]) == (-1.0, 2.0)
+    np.testing.assert_allclose(values.mean(axis=0), 0.0, atol=1e-5)
+    z, values = along_function(force)
+    np.testing.assert_allclose(z @ values, 0.0, atol=1e-4)
+    # A smooth function that has no such part is nearly a sum of them.
+    shape = np.cos(2 * z)
+    shape -= z * (z @ shape) / (z @ z)
+    weights = np.linalg.lstsq(values, shape, rcond=None)[0]
+    error = np.abs(values @ weights - shape)
+    assert np.max(error) < 0.1 and np.mean(error) < 0.03
+
+
+def test_any_formula_may_stand_in_a_name() -> None:
+    larger = spring().add("unknown force f(q) like c*sin(q/width)*q", "p")
+    assert {"f_q_on_p", "f_q_on_p.width"} < set(larger.free)
+    units = parameter_units(larger, UNITS)
+    assert units["f_q_on_p.width"] == "m"
+
+
+@pytest.mark.parametrize(("name", "message"), [
+    ("unknown loss r(q) of 8 bells from 2 to -1", "8 bells from 2 to -1; expected four"),
+    ("unknown loss r(q) of 2 bells from 0 to 1", "2 bells from 0 to 1; expected four"),
+    ("unknown loss r(z) of 8 bells from 0 to 1", "unknown name 'z'|'z'"),
+    ("unknown force f(q) like c*exec(q)", "function 'exec'"),
+])  # fmt: skip
+def test_a_name_that_makes_no_sense_is_refused(name: str, message: str) -> None:
+    with pytest.raises(ph.ModelError, match=message):
+        spring().add(name, "p")
+
+
+def test_kinds_of_effects_can_be_chosen() -> None:
+    data = measured(lambda q, v: 0.0)
+    fit = ph.identify(spring(), data[:2])
+    found = ph.diagnose(fit, data[:2], kinds=["storages"])
+    assert set(found.candidates["effect"]) <= {"maxwell element", "resonance"}
+    with pytest.raises(
+        ph.ModelError, match=r"kind 'storage' .* Did you mean 'storages'"
+    ):
+        ph.diagnose(fit, data[:2], kinds=["storage"])
+
+
+# ---- found
+
+
+def test_a_loss_that_depends_on_the_position_reads_like_a_formula(
+    tmp_path: Path,
+) -> None:
+    data = measured(lambda q, v: -2.5 * np.exp(-((q / 0.25) ** 2)) * v)
+    found = diagnosed(data)
+    (finding,) = found.findings
+    assert str(finding.effects[0]) == (
+        "unknown loss r(q) like c*exp(-(q/width)**2) on p"
+    )
+    assert abs(finding.coefficient - 2.5) < 3 * finding.std_error < 0.5
+    assert finding.unit == "N s/m"
+    assert found.proposed_fit.estimates  # kept, and read again
+    path = tmp_path / "fit.json"
+    found.proposed_fit.save(path)
+    assert ph.Fit.load(path).estimates == found.proposed_fit.estimates
+
+
+@pytest.mark.slow
+def test_a_function_that_is_no_formula_is_a_sum_of_bells() -> None:
+    def loss(q: float, v: float) -> float:
+        humps = np.exp(-(((q - 0.5) / 0.3) ** 2)) + np.exp(-(((q + 0.6) / 0.25) ** 2))
+        return float(-1.5 * humps * v)
+
+    data = measured(loss)
+    study = ph.Study(spring(), data[:2], held_out=data[2:])
+    study.auto(max_steps=1)
+    (effect,) = study.added
+    assert effect.name.startswith("unknown loss r(q) of 12 bells")
+    last = study.history.iloc[-1]
+    assert last["held_out_rmse"] < 1.1 * last["noise_floor"]
+    # The curve, but for the constant that the damper has.
+    z, shapes = along_function(effect)
+    names = [term.name for term in effect.term]
+    curve = shapes @ [study.fit.estimates[name] for name in names]
+    true = np.array([loss(q, -1.0) for q in z])
+    inside = (z > -1) & (z < 1)
+    error = (curve - true)[inside]
+    assert np.std(error) < 0.2 * np.std(true[inside])
+    size = fitted_size(spring(), study.fit, effect)
+    assert abs(size.z) > 5 and size.unit == "N s/m"
+
+
+STORAGES = {
+    "maxwell element on p": (
+        lambda q, v, z, w: -8 * (q - z),
+        lambda q, v, z, w: [(q - z) / 0.25, 0.0],
+        {"maxwell_element_p": 8.0, "relaxation_time_p": 0.25},
+    ),
+    "resonance on p": (
+        lambda q, v, z, w: 0.4 * (36 * (z - q) + 2.0 * (w - v)),
+        lambda q, v, z, w: [w, 36 * (q - z) + 2.0 * (v - w)],
+        {
+            "resonance_mass_p": 0.4,
+            "resonance_time_p": 1 / 6,
+            "resonance_damping_p": 2 / 6,
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STORAGES)
+def test_a_storage_that_nobody_measures_is_found(name: str) -> None:
+    law, memory, expected = STORAGES[name]
+    found = diagnosed(measured(law, memory))
+    assert [str(one) for finding in found.findings for one in finding.effects] == [name]
+    fit = found.proposed_fit
+    errors = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
+    for parameter, true in expected.items():
+        assert abs(fit.estimates[parameter] - true) < 4 * errors[parameter] < 0.1 * true
+
+
+def test_nothing_is_found_where_nothing_is_hidden() -> None:
+    found = diagnosed(measured(lambda q, v: 0.0))
+    assert found.verdict == ph.Verdict.NOTHING_MISSING
+    assert found.candidates["effect"].str.startswith("unknown").sum() == 0
