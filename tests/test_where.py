@@ -18,7 +18,6 @@ from phsi_opt.force_analysis.analysis import (
     _said,
     law_answer,
     place_answer,
-    step_without_name,
 )
 from phsi_opt.force_analysis.cross_validation import (
     explained_share,
@@ -394,38 +393,19 @@ def analysed(torque: Callable[[float], float], unit: str = "rad") -> ForceAnalys
     return ForceAnalysis.of(compared(torque, unit).record)
 
 
-def test_cogging_follows_the_angle_and_repeats_six_times_a_turn() -> None:
-    analysis = analysed(cogging)
-    wave = analysis.force_in("p").wave
-    assert wave is not None
-    assert wave.position == "q"
-    assert wave.period == pytest.approx(2 * np.pi / 6, rel=0.02)
-    first = analysis.follows.iloc[0]
-    assert first["variable"] == "q"
-    assert first["share"] > 0.75
-    (sentence,) = analysis.sentences
-    assert "it follows the position q and repeats every 1.0" in sentence
-    assert " times a turn)" in sentence
-
-
-def test_it_is_told_what_to_write_and_that_finds_the_cogging() -> None:
-    analysis = analysed(cogging)
-    answer = step_without_name(analysis)
-    assert answer.lead == "Add your own term to dp/dt that is periodic in q."
-    said = 'study.add(ph.Effect("ripple", "F", "p", ph.trigonometric("q")))'
-    assert said in answer.how
+def test_a_force_that_repeats_along_a_position_is_found() -> None:
     data = turned(cogging, "rad")
     study = ph.Study(motor(), data)
-    study.add(ph.Effect("ripple", "F", "p", ph.trigonometric("q")))
-    (omega,) = [name for name in study.fit.values if name.endswith("omega_q")]
-    assert study.fit.values[omega] == pytest.approx(6.0, rel=2e-3)
+    study.auto(max_steps=1)
+    assert [str(one) for one in study.added] == ["unknown force f(q) that repeats on p"]
+    omega = study.fit.values["F_p.omega_q"]
+    assert omega == pytest.approx(6.0, rel=2e-3)
     last = study.history.iloc[-1]
     assert last["train_rmse"] < 1.1 * last["noise_floor"]
 
 
-def test_a_law_of_the_position_that_does_not_repeat_is_no_wave() -> None:
+def test_a_law_of_the_position_follows_it() -> None:
     analysis = analysed(stop)
-    assert analysis.force_in("p").wave is None
     assert analysis.follows.iloc[0]["variable"] == "q"
 
 

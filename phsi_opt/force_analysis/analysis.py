@@ -25,7 +25,6 @@ from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.model.effect import Effect, is_delay
-from phsi_opt.model.kinds import turn_of
 from phsi_opt.model.structure import (
     effort_of,
     exchange_partners,
@@ -144,7 +143,6 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
         "units": defaultdict(str, force.record.units),
         "rate": f"d{force.equation}/dt",
         "partners": exchange_partners(model, force.equation),
-        "turn_of": turn_of,
         "rate_of": RATES.get(force.scale.unit, "") if force.position else "",
         "vibration": VIBRATION_WORDS,
         "clear_pattern": CLEAR_PATTERN,

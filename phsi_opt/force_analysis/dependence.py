@@ -35,7 +35,7 @@ from phsi_opt.force_analysis.cross_validation import (
     product_basis,
 )
 from phsi_opt.force_analysis.force_record import Force
-from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
+from phsi_opt.force_analysis.waves import functions_of_time
 from phsi_opt.model.structure import exchange_partners
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.statistics import TINY
@@ -60,7 +60,7 @@ NO_VARIABLES = (CONSTANT, PARAMETERS)
 CAUSES = ("constant", "dissipated", "conserved", "inputs", "time")
 
 
-def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame":
+def dependence(force: Force) -> "pd.DataFrame":
     """What the missing force of one equation follows, best first.
 
     ``variable`` is a state, an effort that is not a monotone function of a state, an
@@ -72,7 +72,7 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
     variables that add a tenth to them: 'constant' and 'parameters', with the parts of
     the mean square that the mean alone, and other values of the model's parameters
     alone, predict. ``explained`` is the rms of what is predicted, of the mean and the
-    parameters as well. A wave along a position counts to the functions of that.
+    parameters as well.
     """
     total = force.squares
     bases = [force.shown(np.ones((len(force.w), 1)))]
@@ -91,7 +91,7 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
             error = force.left_out_error(bases, partial(functions_of_time, force))
         else:
             is_input = variable in force.record.model.inputs
-            functions = [*bases, _functions(force, variable, wave)]
+            functions = [*bases, _functions(force, variable)]
             error = force.left_out_error(functions, with_inputs=is_input)
         error = min(error, least)
         gain = (least - error) / max(total, TINY)
@@ -104,17 +104,12 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
     return best_first.drop(columns="gain")
 
 
-def _functions(
-    force: Force, variable: str, wave: PositionWave | None = None
-) -> np.ndarray:
+def _functions(force: Force, variable: str) -> np.ndarray:
     """Of a variable, or of a pair 'q, p', as they would be shown, (n_intervals, k)."""
     values = list(map(force.record.variable, variable.split(", ")))
     if len(values) == 2:
         return force.shown(product_basis(*values))
-    functions = force.shown(piecewise_linear_basis(values[0]))
-    if wave is not None and wave.position == variable:
-        functions = np.hstack([functions, wave.waves])
-    return functions
+    return force.shown(piecewise_linear_basis(values[0]))
 
 
 def variables(force: Force) -> list[str]:
@@ -224,9 +219,9 @@ class Causes:
         return [cause for cause in others if cause not in self.contributions]
 
 
-def causes_of(force: Force, wave: PositionWave | None = None) -> Causes:
+def causes_of(force: Force) -> Causes:
     """Whether a force w dissipates power w dH/dx, conserves it, or is driven."""
-    bases = _bases(force, wave)
+    bases = _bases(force)
     least = _share(force, bases, [PARAMETERS])
     contributions = {PARAMETERS: least}
     shares = _shares_beside(force, bases, contributions)
@@ -241,7 +236,7 @@ def causes_of(force: Force, wave: PositionWave | None = None) -> Causes:
     return replace(causes, goes_together=is_driven and _is_closed_loop(force))
 
 
-def _bases(force: Force, wave: PositionWave | None) -> dict[str, np.ndarray]:
+def _bases(force: Force) -> dict[str, np.ndarray]:
     """Functions (n_intervals, k) by cause, as the estimate would show them."""
     model = force.record.model
     functions = {
@@ -254,8 +249,6 @@ def _bases(force: Force, wave: PositionWave | None) -> dict[str, np.ndarray]:
     if model.inputs:
         functions["inputs"] = _joint_basis(force, model.inputs)
     bases = {cause: force.shown(columns) for cause, columns in functions.items()}
-    if wave is not None:
-        bases["conserved"] = np.hstack([bases["conserved"], wave.waves])
     return {**bases, PARAMETERS: force.by_parameters}
 
 

@@ -20,7 +20,6 @@ from phsi_opt.force_analysis.dependence import (
     CONSTANT,
     NO_VARIABLES,
     TIME_NAME,
-    Causes,
     causes_of,
     dependence,
     leading,
@@ -33,7 +32,6 @@ from phsi_opt.force_analysis.localization import (
     strong_ranges,
     strongest_window,
 )
-from phsi_opt.force_analysis.waves import PositionWave, position_wave
 from phsi_opt.model.catalogue import inertia_of, lacking_quantity
 from phsi_opt.model.expressions import NUMPY, evaluate, names_of
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC
@@ -112,18 +110,7 @@ class EquationForce(Force):
                 region[name] = ranges
         return region
 
-    @cached_property
-    def wave(self) -> PositionWave | None:
-        """Along a position, where the force repeats along one."""
-        unexplained = self._causes_by_knots.shares["unexplained"]
-        may_repeat = not self.is_uncertain and unexplained > CLEAR_PATTERN
-        return position_wave(self) if may_repeat else None
-
-    @cached_property
-    def causes(self) -> Causes:
-        return causes_of(self, self.wave) if self.wave else self._causes_by_knots
-
-    _causes_by_knots = cached_property(causes_of)  # by functions of few knots alone
+    causes = cached_property(causes_of)
 
     @property
     def mean_power(self) -> float:
@@ -145,7 +132,7 @@ class EquationForce(Force):
     @cached_property
     def follows(self) -> "pd.DataFrame":
         """The variables that predict the force, best first (see `dependence`)."""
-        return dependence(self, self.wave)
+        return dependence(self)
 
     @property
     def is_uncertain(self) -> bool:

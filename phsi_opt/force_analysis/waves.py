@@ -1,30 +1,22 @@
-"""Frequencies of a missing force, and forces that repeat along time or a position.
+"""Frequencies of a missing force, and forces that repeat in time.
 
 Spectra say at which frequency a force is strong, with even or uneven samples. A wave
 with its second harmonic has a frequency that is sought on the stretches of time that a
-fit sees, so that it earns nothing by being sought. Along a position such forces are
-cogging, the teeth of a gear, a wheel off centre: a shaft that turns passes the same
-places again and again, and functions with a few knots along its angle cannot show that.
+fit sees, so that it earns nothing by being sought.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import scipy
 
-from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
 from phsi_opt.force_analysis.cross_validation import piecewise_linear_basis
 from phsi_opt.force_analysis.force_record import Force
-from phsi_opt.model.structure import exchange_partners
 from phsi_opt.statistics import TINY, local_maxima
 
 POINTS_PER_FREQUENCY = 4  # points of a spectrum per resolved frequency
 N_TRIED = 21  # frequencies that are tried about a good one
-# Periods that are tried within the positions that were visited: fewer are a curve,
-# which knots show.
-REPEATS = np.arange(2, 200, 0.25)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,70 +157,3 @@ def _frequency_in_time(force: Force, is_fitted: np.ndarray) -> float:
     tried = _near(peaks, found.resolved)
     places = _drawn(is_fitted)
     return _refined(t[places] - t[0], varying[places], tried, [found.resolved / 10])
-
-
-# ---- along a position ----------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class PositionWave:
-    """A force that repeats along a position after a period, in its unit.
-
-    The waves are both harmonics as the estimate of the force shows them, (n_intervals,
-    4).
-    """
-
-    position: str
-    period: float
-    waves: np.ndarray
-
-
-def position_wave(force: Force) -> PositionWave | None:
-    """The wave along a state that the equation exchanges energy with."""
-
-    def waves_along(
-        z: np.ndarray, functions: np.ndarray, is_fitted: np.ndarray
-    ) -> np.ndarray:
-        frequency, _ = _best_along(z, force, functions, is_fitted)
-        return force.shown(harmonics(2 * np.pi * frequency * z))
-
-    best = None
-    least = np.inf
-    for name in exchange_partners(force.record.model, force.equation):
-        z = force.record.variable(name)
-        if not np.ptp(z) > 0:
-            continue
-        of_state = force.shown(piecewise_linear_basis(z))
-        functions = np.hstack([force.by_parameters, of_state])
-        everywhere = np.full(len(z), True)
-        frequency, share = _best_along(z, force, functions, everywhere)
-        # It has to be seen in the whole force first, which costs less.
-        if share < CLEAR_PATTERN:
-            continue
-        sought = partial(waves_along, z, functions)
-        error = force.left_out_error([functions], sought)
-        without = force.left_out_error([functions])
-        if error < min(least, without - NAMED_CAUSE * force.squares):
-            waves = force.shown(harmonics(2 * np.pi * frequency * z))
-            best = PositionWave(name, 1 / frequency, waves)
-            least = error
-    return best
-
-
-def _best_along(
-    z: np.ndarray, force: Force, functions: np.ndarray, is_fitted: np.ndarray
-) -> tuple[float, float]:
-    """Frequency of the wave along a state that fits the residual of functions best."""
-    fitted = functions[is_fitted]
-    coefficients = np.linalg.lstsq(fitted, force.w[is_fitted], rcond=None)[0]
-    places = _drawn(is_fitted)
-    residual = force.w[places] - functions[places] @ coefficients
-    z = z[places]
-    visited = np.ptp(z)
-    if not visited > 0:
-        return 0.0, 0.0
-    tried = REPEATS / visited
-    apart = tried[1] - tried[0]
-    frequency = _refined(z, residual, tried, [apart, apart / N_TRIED])
-    fall = _power(z, residual, np.array([frequency]))[0]
-    return frequency, float(fall / max(float(np.sum(residual**2)), TINY))

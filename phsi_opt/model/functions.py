@@ -12,6 +12,7 @@ number. All are known by their names:
 
     unknown loss r(q) of 12 bells from -0.8 to 1.1
     unknown force f(q) like c*tanh(q/width)/tanh(1.1/width)
+    unknown torque f(q) that repeats
 """
 
 import re
@@ -25,7 +26,7 @@ from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import NUMPY, evaluate, names_of
-from phsi_opt.model.parameters import Parameter, Tried
+from phsi_opt.model.parameters import Parameter, Scan, Tried
 from phsi_opt.model.redundancy import is_redundant
 from phsi_opt.model.structure import WORDS, effort_of, forced_rows, role_of
 from phsi_opt.model.terms import Dictionary, Term
@@ -47,7 +48,7 @@ FORMULAS = (
 INNER = {"width": (0.1, 0.2, 0.35, 0.6, 1.0), "limit": (-0.7, -0.4, 0.0, 0.4, 0.7, 0.9)}
 NAME = re.compile(
     r"unknown [a-z ]{1,40} (?P<kind>[fr])\((?P<z>\w+)\) "
-    r"(?:like c\*(?P<formula>.+)"
+    r"(?:like c\*(?P<formula>.+)|(?P<wave>that repeats)"
     r"|of (?P<n>\d{1,2}) bells from (?P<low>[-+.e\d]+) to (?P<high>[-+.e\d]+))"
 )
 Range = tuple[float, float]
@@ -65,6 +66,8 @@ def function_named(model: BaseModel, name: str, equation: str) -> Effect | None:
     place = _Place(model, equation, found["z"], found["kind"])
     if found["formula"]:
         return place.formula(name, found["formula"])
+    if found["wave"]:
+        return place.wave(name)
     low, high = float(found["low"]), float(found["high"])
     if not low < high or int(found["n"]) < 4:
         raise ModelError(
@@ -87,6 +90,8 @@ def unknown_functions(
         low, high = range_of(place.z)
         if not low < high:
             continue
+        if place.kind == "f" and place.z in model.states:
+            yield place.wave(f"{place.called} that repeats")
         for n in N_BELLS:
             name = f"{place.called} of {n} bells from {low:g} to {high:g}"
             yield place.bells(name, n, (low, high))
@@ -101,7 +106,7 @@ def unknown_functions(
 def is_function(effect: Effect) -> bool:
     """Whether an effect is an unknown function, and no formula."""
     found = NAME.fullmatch(effect.name)
-    return found is not None and not found["formula"]
+    return found is not None and found["n"] is not None
 
 
 def along_function(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
@@ -155,6 +160,13 @@ class _Place:
             inner[key] = Parameter(guess=Tried(self.z, shares) if shares else None)
         body = self.body(formula)
         return self.effect(name, Term(body, Parameter(), inner, self.coefficient))
+
+    def wave(self, name: str) -> Effect:
+        """What repeats along a position, such as the cogging of a motor."""
+        omega = f"omega_{self.z}"
+        inner = {omega: Parameter(lower=0.0, guess=Scan(self.z))}
+        shapes = (f"sin({omega}*{self.z})", f"cos({omega}*{self.z})")
+        return self.effect(name, *(Term(one, Parameter(), inner) for one in shapes))
 
     def bells(self, name: str, n: int, along: Range) -> Effect:
         """A sum of n bells, each less the line that the model has."""

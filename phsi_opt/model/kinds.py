@@ -69,9 +69,3 @@ def kind_of_unit(unit: str) -> str:
                 is_heat = one == "N*m" and "N" not in unit
                 return THERMAL if is_heat else kind
     return ""
-
-
-def turn_of(unit: str) -> float:
-    """A whole turn in a unit of angles; 0 for others."""
-    measure = measure_of(unit) if are_alike(unit, RADIAN) else None
-    return 2 * pi / measure.size if measure else 0.0
