@@ -6,12 +6,11 @@ themselves: the sensors of tanks, speeds and positions give them too.
 """
 
 from collections.abc import Mapping, Sequence
-from math import pi
 from types import MappingProxyType
 from typing import Any
 
 from phsi_opt.arguments import require_known
-from phsi_opt.presentation.units import RADIAN, are_alike, measure_of
+from phsi_opt.presentation.units import are_alike
 
 MECHANICAL = "mechanical"
 HYDRAULIC = "hydraulic"
