@@ -12,6 +12,7 @@ import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_kind
 from phsi_opt.model.functions import (
     along_function,
+    formulas_like,
     function_named,
     is_function,
     unknown_functions,
@@ -74,7 +75,11 @@ def diagnosed(data: ph.Measurements, **choice: Any) -> ph.Diagnosis:
 
 
 def test_what_is_proposed_is_known_by_its_name() -> None:
-    proposed = list(unknown_functions(spring(), lambda _: (-1.5, 2.0)))
+    proposed = []
+    for bells in unknown_functions(spring(), lambda _: (-1.5, 2.0)):
+        proposed += [bells]
+        if " 6 bells " in bells.name:
+            proposed += formulas_like(spring(), bells)
     names = [str(one) for one in proposed]
     assert len(set(names)) == len(names) > 20
     assert {"unknown loss r(q) of 6 bells from -1.5 to 2 on p"} < set(names)

@@ -17,7 +17,7 @@ from phsi_opt.diagnosis.candidate import Candidate, at_limit
 from phsi_opt.diagnosis.refit import DiagnosedModel, fitted_by_steps
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.functions import unknown_functions
+from phsi_opt.model.functions import formulas_like, unknown_functions
 from phsi_opt.model.laws import said_of
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
@@ -199,15 +199,31 @@ def rank_again(
 
 
 def rank_functions(base: DiagnosedModel, ranking: Ranking) -> None:
-    """Add what was weighed of unknown functions to a ranking."""
-    linearized = LinearizedRecord.beside_force(ranking.record)
-    functions = list(unknown_functions(linearized.model, linearized.range_of))
+    """Add what was weighed of unknown functions to a ranking.
+
+    Those that lead either list of screening, and the formulas that they may be.
+    """
+    base.say("screening unknown functions")
+    records = [LinearizedRecord.beside_force(ranking.record)]
+    with suppress(SolveError):
+        records.append(LinearizedRecord.without_force(base.record))
+    model = base.fit.model
+    bells = list(unknown_functions(model, records[0].range_of))
+    leaders: dict[tuple[str, str], list[Effect]] = {}
+    for record in records:
+        found: dict[tuple[str, str], list[Effect]] = {}
+        for one in screened_beside(record, bells):
+            place = (one.effect.family, one.effect.equation)
+            found.setdefault(place, []).append(one.effect)
+        leaders |= dict(list(found.items())[:MOST_LEADERS])
+    functions: list[Effect] = []
+    for alike in leaders.values():
+        functions += [*formulas_like(model, alike[0]), *alike]
     further = _ranked_beside(base, ranking.record, functions)
     rank_again(base, further, functions)
     weighed = [one for one in further.candidates if one.was_weighed]
     ranking.weighed |= further.weighed
-    for one in weighed:
-        ranking.screened[one.name] = further.screened[one.name]
+    ranking.screened |= {one.name: further.screened[one.name] for one in weighed}
     ranking.candidates = _in_order([*ranking.candidates, *weighed])
 
 

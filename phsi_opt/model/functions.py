@@ -80,7 +80,7 @@ def function_named(model: BaseModel, name: str, equation: str) -> Effect | None:
 def unknown_functions(
     model: BaseModel, range_of: Callable[[str], Range]
 ) -> Iterator[Effect]:
-    """The functions, and formulas, that the equations of a model may lack.
+    """The functions that the equations of a model may lack, as bells.
 
     Args:
         model: the model.
@@ -90,17 +90,24 @@ def unknown_functions(
         low, high = range_of(place.z)
         if not low < high:
             continue
-        if place.kind == "f" and place.z in model.states:
-            yield place.wave(f"{place.called} that repeats")
         for n in N_BELLS:
             name = f"{place.called} of {n} bells from {low:g} to {high:g}"
             yield place.bells(name, n, (low, high))
-        top = f"{max(abs(low), abs(high)):g}"
-        for shape in FORMULAS:
-            formula = shape.format(z=place.z, top=top)
-            effect = place.formula(f"{place.called} like c*{formula}", formula)
-            if not is_redundant(model, effect):
-                yield effect
+
+
+def formulas_like(model: BaseModel, bells: Effect) -> Iterator[Effect]:
+    """Short formulas that an unknown function may be."""
+    found = NAME.fullmatch(bells.name)
+    assert found is not None
+    place = _Place(model, bells.equation, found["z"], found["kind"])
+    if place.kind == "f" and place.z in model.states:
+        yield place.wave(f"{place.called} that repeats")
+    top = f"{max(abs(float(found['low'])), abs(float(found['high']))):g}"
+    for shape in FORMULAS:
+        formula = shape.format(z=place.z, top=top)
+        effect = place.formula(f"{place.called} like c*{formula}", formula)
+        if not is_redundant(model, effect):
+            yield effect
 
 
 def is_function(effect: Effect) -> bool:

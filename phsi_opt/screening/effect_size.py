@@ -34,6 +34,8 @@ class Size:
 
     def words(self, effect: Effect) -> str:
         """As text; of a rate at which a state decays its time constant."""
+        if is_function(effect):
+            return f"reaches {self}"
         known = (self.value, self.std_error, self.unit)
         return (time_constant_words(*known) if is_decay(effect) else "") or str(self)
 

@@ -29,15 +29,22 @@ Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def simulated(
-    rng: np.random.Generator, rates: Rates, start: np.ndarray, u: np.ndarray, h: float
+    rng: np.random.Generator,
+    rates: Rates,
+    start: np.ndarray,
+    u: np.ndarray,
+    h: float,
+    shaken: tuple[int, ...] = (-2, -1),
 ) -> np.ndarray:
     """States at the samples, (n, n_states), of held inputs u (n, n_inputs).
 
     By Runge and Kutta's steps; in every second run a force that lasts some samples
-    shakes the last two equations.
+    shakes some equations, by default the last two.
     """
-    shaken = np.arange(len(start)) >= len(start) - 2
-    size = SHAKEN * rng.integers(2) * shaken * np.abs(rates(start, u[0]))[-2:].max()
+    places = list(shaken)
+    size = np.zeros(len(start))
+    size[places] = SHAKEN * rng.integers(2)
+    size *= np.abs(rates(start, u[0]))[places].max()
     x = np.empty((len(u), len(start)))
     x[0] = start
     force = np.zeros(len(start))

@@ -41,7 +41,7 @@ class Case:
 
     model: ph.Model
     data: ph.Measurements  # the last run is held out
-    true: frozenset[str]  # names that are right
+    true: frozenset[str]  # how names begin that are right
     sizes: dict[str, float] = field(default_factory=dict)
 
 
@@ -169,7 +169,8 @@ def examined(kind: str, draw: Draw, seed: int) -> Record:
         diagnosis = study.record.diagnoses.get(number)
         for finding in diagnosis.findings if diagnosis else ():
             names = [str(effect) for effect in finding.effects]
-            true = next((name for name in names if name in case.true), "")
+            known = [one for one in case.true if any(n.startswith(one) for n in names)]
+            true = next(iter(known), "")
             named[true or f"{names[0]} (false)"] = finding
     are_near = True
     for name, size in case.sizes.items():
