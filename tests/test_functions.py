@@ -18,6 +18,7 @@ from phsi_opt.model.functions import (
     unknown_functions,
 )
 from phsi_opt.model.parameter_units import parameter_units
+from phsi_opt.model.typeset import typeset_equations
 from phsi_opt.screening.effect_size import fitted_size
 
 BELLS = "unknown loss r(q) of 8 bells from -1 to 2"
@@ -115,6 +116,18 @@ def test_any_formula_may_stand_in_a_name() -> None:
     assert {"f_q_on_p", "f_q_on_p.width"} < set(larger.free)
     units = parameter_units(larger, UNITS)
     assert units["f_q_on_p.width"] == "m"
+
+
+def test_bells_are_written_as_a_function() -> None:
+    speed = "unknown force f(dH_dp) of 6 bells from -1 to 2"
+    larger = spring().add(BELLS, "p").add(speed, "p")
+    text = str(larger)
+    assert "F_p = u - r_p(q)*dH_dp + f_p(dH_dp)\n" in text
+    assert "r_p(q) = a sum of bells, by the parameters r_q_on_p_0 to r_q_on_p_6" in text
+    *_, rate = typeset_equations(larger, larger.values, "s")
+    assert "<msub><mi>r</mi><mi>p</mi></msub><mo>(</mo><mi>q</mi><mo>)</mo>" in rate
+    assert "<msub><mi>f</mi><mi>p</mi></msub><mo>(</mo><mover" in rate
+    assert "exp" not in text.split("parameters\n")[0] + rate
 
 
 @pytest.mark.parametrize(("name", "message"), [

@@ -5,6 +5,7 @@ for printing; ``Model`` keeps the functions. This file knows nothing of data, lo
 solvers.
 """
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -227,17 +228,33 @@ def model_summary(model: BaseModel) -> Summary:
     return Summary(title, tuple(parts))
 
 
+# The coefficient of a bell of an unknown function (`model.functions`).
+BELL = re.compile(r"(?P<kind>[fr])_(?P<z>\w+)_on_(?P<x>\w+)_\d+")
+
+
 def dictionary_rows(
     model: BaseModel, written: Callable[[Term, str, int], str]
 ) -> list[str]:
     """Every dictionary of the model that has terms: F_p = c1*q + c2*q**3."""
     sums: dict[str, list[str]] = {}
+    bells: dict[str, list[str]] = {}
     for placed in model.placed():
         terms = sums.setdefault(placed.place, [])
-        terms.append(written(placed.term, placed.place, len(terms) + 1))
+        bell = BELL.fullmatch(placed.term.name)
+        if bell is None:
+            terms.append(written(placed.term, placed.place, len(terms) + 1))
+            continue
+        function = f"{bell['kind']}_{bell['x']}({bell['z']})"
+        if function not in bells:
+            effort = placed.term.body.rpartition("*")[2]
+            terms.append(f"-{function}*{effort}" if bell["kind"] == "r" else function)
+        bells.setdefault(function, []).append(placed.term.name)
     rows = []
     for place, terms in sums.items():
         rows.append(f"{place} = {' + '.join(terms).replace('+ -', '- ')}")
+    for function, names in bells.items():
+        told = f"a sum of bells, by the parameters {names[0]} to {names[-1]}"
+        rows.append(f"{function} = {told}")
     return rows
 
 

@@ -6,13 +6,16 @@ u(t - 5.3 ms), that of a sensor too, which states approximate.
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from html import escape
 from typing import Any
 
 from phsi_opt.model.base import BaseModel
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import position_of_momentum
-from phsi_opt.model.symbolic import Expressions
+from phsi_opt.model.symbolic import BELL, Expressions
+from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.numbers import decimal
 
 MOST_READ = 60  # of a model whose equations somebody reads
@@ -46,6 +49,7 @@ def typeset_equations(
             a number.
         unit_of_time: of the measurements.
     """
+    model, functions = _with_named_functions(model)
     if len(model.placed()) > MOST_READ:
         return ()
     import sympy as sp
@@ -62,6 +66,15 @@ def typeset_equations(
     for name, value in values.items():
         is_named = "[" not in name
         known[name] = named(_name(name)) if is_named else sp.Float(f"{value:.3g}")
+    pairs = position_of_momentum(model)
+    for name, bell in functions.items():
+        letter = f"<msub><mi>{bell['kind']}</mi>{_name(bell['x'])}</msub>"
+        momentum = bell["z"].removeprefix("dH_d")
+        variable = _name(bell["z"])
+        if momentum in pairs and bell["z"] not in model.states:
+            variable = _velocity(pairs[momentum])
+        at = f"<mo>(</mo>{variable}<mo>)</mo>"
+        known[name] = named(f"<mrow>{letter}{at}</mrow>")
     for name in model.states:
         known[_dotted(name)] = named(_velocity(name))
     x = list(map(named, map(_name, model.states)))
@@ -82,11 +95,10 @@ def typeset_equations(
             instead[symbols[f"{state}_{one}"]] = 0
     arguments = (model, x, u, sp.Symbol("t", real=True), known, SYMPY)
     plain, parts = Expressions(*arguments), _WithVelocities(*arguments)
-    pairs = position_of_momentum(model).values()
     rows = {"<mi>H</mi>": plain.energy} if model.has_energy else {}
     for k, state in enumerate(model.states):
         if symbols[state] not in instead:
-            rate = (plain if state in pairs else parts).rates[k]
+            rate = (plain if state in pairs.values() else parts).rates[k]
             rows[RATE.format(_name(state))] = rate
     for k, state in enumerate(model.states):
         if state in model.sensor:
@@ -103,6 +115,28 @@ def typeset_equations(
         text = BY_NUMBER.sub(lambda one: written[int(one[1]) - 1], text)
         lines.append(f'<math display="block">{left}<mo>=</mo>{text}</math>')
     return tuple(lines)
+
+
+def _with_named_functions(
+    model: BaseModel,
+) -> tuple[BaseModel, dict[str, re.Match[str]]]:
+    """With one name in place of the bells of each unknown function."""
+    named: dict[str, re.Match[str]] = {}
+    forces = {}
+    for equation, dictionary in model.F.items():
+        terms = {}  # a function once
+        for term in dictionary:
+            one = term
+            if bell := BELL.fullmatch(term.name):
+                name = term.name.rpartition("_")[0]
+                named[name] = bell
+                body = name
+                if bell["kind"] == "r":
+                    body = f"-{name}*{term.body.rpartition('*')[2]}"
+                one = Term(body, None, {name: Parameter(1.0)})
+            terms[one.body] = one
+        forces[equation] = Dictionary(tuple(terms.values()))
+    return (replace(model, F=forces) if named else model), named
 
 
 def _mathml(expression: Any) -> str:
