@@ -54,6 +54,8 @@ FAMILIES = {
     "an error in the size of the input's force": "input gain, quadratic input, odd quadratic input, "
     "input dead zone, input saturation",
     "a delay of the input": "input lag, input delay",
+    "a spring that yields": "maxwell element",
+    "a resonance": "resonance",
 }
 
 

@@ -61,6 +61,8 @@ def change(
 
 
 DELAYED_SENSOR = {"sensor_delay_q": 0.1, "q_delayed": 0.5, "q_delayed_bend": 3.0}
+RESONANCE = {"resonance_mass_p": 0.3, "q_absorber": 0.5, "q_absorber_rate": 0.1}
+RESONANCE |= {"resonance_time_p": 0.2, "resonance_damping_p": 0.4}
 CASES = [
     ("viscous damping", "p", {"viscous_damping_p": 0.3}, -0.3 * V, 0),
     ("coulomb friction", "p", {"coulomb_friction_p": 0.3, "coulomb_friction_p.v0": 1e-6}, -0.3 * np.sign(V), 0),
@@ -79,6 +81,9 @@ CASES = [
     ("input gain", "p", {"input_gain_u_p": -0.2}, -0.2 * 5 * U[0], 0),
     ("quadratic input", "p", {"quadratic_input_u_p": 0.3}, 0.3 * U[0] ** 2, 0),
     ("odd quadratic input", "p", {"odd_quadratic_input_u_p": -0.3}, -0.3 * abs(U[0]) * U[0], 0),
+    ("cubic input", "p", {"cubic_input_u_p": -0.3}, -0.3 * U[0] ** 3, 0),
+    ("maxwell element", "p", {"maxwell_element_p": 0.3, "q_relaxed": 0.5}, -0.3 * (Q - 0.5), 0),
+    ("resonance", "p", RESONANCE, -0.3 * ((Q - 0.5) / 0.2**2 + 0.4 * (V - 0.1) / 0.2), 0),
     ("input dead zone", "p", {"dead_zone_u_p": 0.25}, -5 * 0.25, 0),
     ("input saturation", "p", {"saturation_u_p": 0.25}, -5 * (U[0] - 0.25), 0),
     ("input lag", "p", {"lag_u_p": 0.1, "u_lagged_p": 0.5}, 5 * (0.5 - U[0]), 0),

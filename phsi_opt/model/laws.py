@@ -203,6 +203,7 @@ drifting | 1/4 | c t | drift, trend, ramp
 harmonic | 1/4 | a sin({omega} t) + b cos({omega} t) | unbalance, vibration, ripple, hum
 quadratic input | 1 | c {u}^2 | nonlinear actuator
 odd quadratic input | 1 | c |{u}| {u} | nonlinear actuator
+cubic input | 1/4 | c {u}^3 | nonlinear actuator
 input gain | 1 | c {dF}{u} | actuator gain, calibration, scale error
 input dead zone | 1 | -{dF}min(max({u}, -width), width) | dead band, threshold
 input saturation | 1 | -{dF}({u} - min(max({u}, -limit), limit)) | saturation
@@ -220,21 +221,21 @@ coil or capacitor saturation | 1 | energy c {x}^4/4 | saturation, iron saturatio
 coupling stiffness | 1 | energy c ({q1} - {q2})^2/2 | coupling spring
 coupling capacitance | 1 | energy c ({q1} - {q2})^2/2 |
 gap | 1 | energy c max(|{q}| - play, 0)^2/2 | backlash, free play, play, clearance, slack
-second heat storage | 4 | c (z - {x}), tau dz/dt = {x} - z | wall, thermal mass
-second charge storage | 4 | c (z - {x}), tau dz/dt = {x} - z | relaxation
+second heat storage | 4 | c (z - {x}), tau dz/dt = {x} - z | wall, thermal mass, second storage
+second charge storage | 4 | c (z - {x}), tau dz/dt = {x} - z | relaxation, second storage
 parametric stiffness | 1/4 | -{q} (a sin({omega} t) + b cos({omega} t)) |
 parametric elastance | 1/4 | -{q} (a sin({omega} t) + b cos({omega} t)) |
 hysteresis | 1 | -c z, w dz/dt = {e} - (|{e}| z + {e} |z|)/2 | bouc-wen, presliding
 bouc-wen hysteresis | 1/4 | -c z, w dz/dt = {e} - (|{e}| z + s {e} |z|)/2 | free hysteresis
-maxwell element | 1 | -c ({q} - z), tau dz/dt = {q} - z | viscoelastic, creep, relaxation
+maxwell element | 1 | -c ({q} - z), tau dz/dt = {q} - z | viscoelastic, creep, second storage
 resonance | 1 | -m z'', tau^2 z'' = {q} - z + d tau ({e} - z') | absorber, tuned mass
 unknown | 1/4 | f(z), or -r(z) {e} |
 damper between | 1 | -c {e} | coupling damper, viscous coupling
-dry friction between | 1 | -c sign({e}) | slipping clutch, coupling friction
+dry friction between | 1 | -c sign({e}) | friction between, slipping clutch
 gyroscopic coupling between | 1 | c dH/dx2, -c dH/dx1 | Coriolis force, magnetic force
 spill from | 1 | c max({s_e} - limit, 0) | weir, overflow into
-exchange of heat between | 4 | -c {e} | thermal bridge, thermal conductance
-connection between | 1 | -c sign({e}) sqrt(|{e}|) | pipe, orifice, leak
+exchange of heat between | 4 | -c {e} | heat exchange, thermal bridge, thermal conductance
+connection between | 1 | -c sign({e}) sqrt(|{e}|) | leak between, pipe, orifice
 overflow from | 1 | c max({s_e} - limit, 0) | spill, weir
 heat exchange with | 1 | c ({s_e} - {e}) | heat transfer, ambient, conduction
 sensor offset | 1 | sensor + c | offset, bias, zero error
@@ -504,6 +505,7 @@ INPUTS = _laws(
     """
 quadratic input{of_u} | | {u}**2 | {input_size} | quadratic_input_{u}_{x}
 odd quadratic input{of_u} | | abs({u})*{u} | {input_size} | odd_quadratic_input_{u}_{x}
+cubic input{of_u} | | {u}**3 | {input_size} | cubic_input_{u}_{x}
 input gain{of_u} | | {new} | {input_size} | input_gain_{u}_{x}
 input gain{of_u} | | {slope}*{u} | {input_size} | input_gain_{u}_{x}
 input dead zone{of_u} | | -{slope}*DEAD | {input_size} | formula
