@@ -29,6 +29,8 @@ from phsi_opt.model.model import FirstOrder as FirstOrder
 from phsi_opt.model.model import Model as Model
 from phsi_opt.model.model import PseudoHamiltonian as PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter as Parameter
+from phsi_opt.model.poisson import casimirs as casimirs
+from phsi_opt.model.poisson import is_poisson as is_poisson
 from phsi_opt.model.structure import canonical as canonical
 from phsi_opt.model.terms import damping as damping
 from phsi_opt.model.terms import formula as formula

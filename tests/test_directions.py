@@ -248,3 +248,42 @@ def test_what_is_missing_between_two_bodies_is_named_and_is_kept(
     assert law.x_label == "velocity of q1 - velocity of q2"
     told = study.fit.sympy()
     assert {"R_p1_p2", "R_p1", "dp2/dt"} <= told.keys()
+
+
+# ---- what S(x) conserves
+
+
+def three(S: Any) -> ph.PseudoHamiltonian:
+    H = "x**2/2 + y**2/4 + z**2/6"
+    return ph.PseudoHamiltonian(states=["x", "y", "z"], S=S, H=H)
+
+
+def test_the_structure_of_a_rigid_body_is_told() -> None:
+    body = three({("x", "y"): "-z", ("x", "z"): "y", ("y", "z"): "-x"})
+    assert ph.is_poisson(body)
+    assert ph.casimirs(body) == ["x**2 + y**2 + z**2"]
+    told = "S(x): the Jacobi identity holds; S(x) conserves x**2 + y**2 + z**2"
+    assert told in str(body)
+    # A sphere that turns no longer as one: the entries do not belong together.
+    broken = three({("x", "y"): "-z", ("x", "z"): "x*y", ("y", "z"): "-x"})
+    assert not ph.is_poisson(broken)
+    assert "S(x): the Jacobi identity does not hold" in str(broken)
+    unknown = three({("x", "y"): "a*z", ("x", "z"): "y", ("y", "z"): "-x"})
+    assert "Jacobi" not in str(unknown)
+    assert ph.is_poisson(unknown.with_values({"a": -1.0}))
+
+
+def test_a_matrix_of_numbers_conserves_sums_of_states() -> None:
+    tanks = three({("x", "y"): 1.0, ("y", "z"): 2.0})
+    assert ph.is_poisson(tanks)
+    assert ph.casimirs(tanks) == ["x + 0.5*z"]
+    assert "Jacobi" not in str(tanks)
+    assert ph.casimirs(coupled_by({("q1", "p1"): 1.0, ("q2", "p2"): 1.0})) == []
+
+
+def test_a_magnetic_field_is_a_poisson_structure_whatever_it_is() -> None:
+    canonical: Any = {("q1", "p1"): 1.0, ("q2", "p2"): 1.0}
+    charged = coupled_by({**canonical, ("p1", "p2"): "1 + q1**2 - q2**3"})
+    assert ph.is_poisson(charged)
+    # Not where the field depends on the velocity.
+    assert not ph.is_poisson(coupled_by({**canonical, ("p1", "p2"): "1 + p1"}))

@@ -16,6 +16,7 @@ import casadi as ca
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.directions import direction_parts, summed
 from phsi_opt.model.expressions import CASADI, Backend, names_of
+from phsi_opt.model.poisson import structure_words
 from phsi_opt.model.slots import PlacedTerm, place_of
 from phsi_opt.model.terms import Term
 from phsi_opt.presentation.summary import Part, Summary, printed_table
@@ -215,6 +216,7 @@ def model_summary(model: BaseModel) -> Summary:
     if model.inputs:
         title += f"; inputs {', '.join(model.inputs)}"
     rows = [*structure_rows(model), *dictionary_rows(model, _term)]
+    rows += filter(None, [structure_words(model)])
     parts = [Part(code="\n".join(rows))]
     listed = []
     for name, entry in model.entries.items():
