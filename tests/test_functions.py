@@ -230,3 +230,31 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
     found = diagnosed(measured(lambda q, v: 0.0))
     assert found.verdict == ph.Verdict.NOTHING_MISSING
     assert found.candidates["effect"].str.startswith("unknown").sum() == 0
+
+
+# ---- between two bodies
+
+
+def test_a_function_of_a_difference_acts_between_two_bodies() -> None:
+    model = ph.PseudoHamiltonian(
+        states=["q1", "q2", "p1", "p2"],
+        S=ph.canonical(2),
+        H="k*(q1 - q2)**2/2 + p1**2/2 + p2**2/4",
+    )
+    proposed = {str(one): one for one in unknown_functions(model, lambda _: (-1.0, 1))}
+    name = "unknown force f(q1 - q2) of 6 bells from -1 to 1 on p1 - p2"
+    effect = proposed[name]
+    larger = model.add(name)
+    assert larger == model.add(effect)
+    # The spring is a line; what the first body gets the second one loses.
+    assert len(effect.term) == 5
+    values = dict.fromkeys(larger.free, 0.0) | {"f_q1_q2_on_p1_p2_2": 0.7}
+    theta = [values[one] for one in larger.free]
+    rates = larger.rhs()([0.3, -0.1, 0.0, 0.0], [], 0.0, theta).full().ravel()
+    z, shapes = along_function(effect)
+    force = 0.7 * np.interp(0.4, z, shapes[:, 2])
+    np.testing.assert_allclose(rates, [0, 0, force, -force], atol=1e-3)
+    formulas = [str(one) for one in formulas_like(model, effect)]
+    stop = "unknown force f(q1 - q2) like c*max((q1 - q2) - limit, 0) on p1 - p2"
+    assert stop in formulas
+    assert model.add(stop).free[-1].endswith(".limit")

@@ -134,7 +134,8 @@ def effect_named(
     """The catalogue's effect of that name."""
     own = catalogue(model, units)
     before, _, place = name.rpartition(" on ")
-    if equation is None and before and place in model.states:
+    is_function = NAME.fullmatch(before) is not None
+    if equation is None and before and (place in model.states or is_function):
         name, equation = before, place
     if equation is not None and (function := function_named(model, name, equation)):
         return function

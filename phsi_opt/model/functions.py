@@ -18,6 +18,7 @@ number. All are known by their names:
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.linalg import qr
@@ -28,7 +29,13 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import NUMPY, evaluate, names_of
 from phsi_opt.model.parameters import Parameter, Scan, Tried
 from phsi_opt.model.redundancy import is_redundant
-from phsi_opt.model.structure import WORDS, effort_of, forced_rows, role_of
+from phsi_opt.model.structure import (
+    WORDS,
+    effort_of,
+    forced_rows,
+    position_of_momentum,
+    role_of,
+)
 from phsi_opt.model.terms import Dictionary, Term
 
 N_BELLS = (6, 12)  # of a function that is wide, and of one with details
@@ -47,7 +54,7 @@ FORMULAS = (
 # Of the numbers inside of a formula: shares of the largest value to begin with.
 INNER = {"width": (0.1, 0.2, 0.35, 0.6, 1.0), "limit": (-0.7, -0.4, 0.0, 0.4, 0.7, 0.9)}
 NAME = re.compile(
-    r"unknown [a-z ]{1,40} (?P<kind>[fr])\((?P<z>\w+)\) "
+    r"unknown [a-z ]{1,40} (?P<kind>[fr])\((?P<z>\w+(?: - \w+)?)\) "
     r"(?:like c\*(?P<formula>.+)|(?P<wave>that repeats)"
     r"|of (?P<n>\d{1,2}) bells from (?P<low>[-+.e\d]+) to (?P<high>[-+.e\d]+))"
 )
@@ -104,7 +111,7 @@ def formulas_like(model: BaseModel, bells: Effect) -> Iterator[Effect]:
         yield place.wave(f"{place.called} that repeats")
     top = f"{max(abs(float(found['low'])), abs(float(found['high']))):g}"
     for shape in FORMULAS:
-        formula = shape.format(z=place.z, top=top)
+        formula = shape.format(z=place.variable, top=top)
         effect = place.formula(f"{place.called} like c*{formula}", formula)
         if not is_redundant(model, effect):
             yield effect
@@ -125,8 +132,10 @@ def along_function(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
     found = NAME.fullmatch(effect.name)
     assert found is not None
     z = np.linspace(float(found["low"]), float(found["high"]), N_SAMPLES)
-    # The effort, by which a loss is multiplied, is minus one.
-    names = dict.fromkeys(effect.names, -1.0) | {found["z"]: z}
+    # The effort, by which a loss is multiplied, is minus one; of a difference the
+    # second is zero.
+    first, *second = found["z"].split(" - ")
+    names = dict.fromkeys(effect.names, -1.0) | dict.fromkeys(second, 0.0) | {first: z}
     return z, np.stack([evaluate(one.body, names, NUMPY) for one in effect.term], 1)
 
 
@@ -143,12 +152,19 @@ class _Place:
     def called(self) -> str:
         lacking = "loss"
         if self.kind == "f":
-            lacking = WORDS[role_of(self.model, self.equation)][0]
+            (first, *_) = self.model.rows(self.equation)
+            lacking = WORDS[role_of(self.model, self.model.states[first])][0]
         return f"unknown {lacking} {self.kind}({self.z})"
 
     @property
     def coefficient(self) -> str:
-        return f"{self.kind}_{self.z}_on_{self.equation}"
+        words = f"{self.kind} {self.z} on {self.equation}"
+        return words.replace(" - ", "_").replace(" ", "_")
+
+    @property
+    def variable(self) -> str:
+        """What it depends on, as a factor in a formula."""
+        return self.z if self.z.isidentifier() else f"({self.z})"
 
     def body(self, shape: str) -> str:
         if self.kind == "f":
@@ -196,7 +212,9 @@ class _Place:
         for number, k in enumerate(kept.tolist()):
             shape = f"exp(-(({self.z}{_less(centres[k])})/{step:.6g})**2)"
             constant, slope = straight[k].tolist()
-            shape += _less(constant) + (f"{_less(slope)}*{self.z}" if slope else "")
+            shape += _less(constant) + (
+                f"{_less(slope)}*{self.variable}" if slope else ""
+            )
             body = self.body(shape)
             terms.append(Term(body, Parameter(), name=f"{self.coefficient}_{number}"))
         return self.effect(name, *terms)
@@ -218,3 +236,6 @@ def _places(model: BaseModel) -> Iterator[_Place]:
             yield _Place(model, x, effort_of(model, x) if z == x else z, "f")
             if z != x:
                 yield _Place(model, x, z, "r")
+    pairs = position_of_momentum(model)
+    for p1, p2 in combinations(pairs, 2) if model.has_energy else ():
+        yield _Place(model, f"{p1} - {p2}", f"{pairs[p1]} - {pairs[p2]}", "f")
