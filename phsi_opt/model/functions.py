@@ -27,7 +27,7 @@ from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import NUMPY, evaluate, names_of
-from phsi_opt.model.parameters import Parameter, Scan, Tried
+from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
 from phsi_opt.model.redundancy import is_redundant
 from phsi_opt.model.structure import (
     WORDS,
@@ -58,6 +58,8 @@ NAME = re.compile(
     r"(?:like c\*(?P<formula>.+)|(?P<wave>that repeats)"
     r"|of (?P<n>\d{1,2}) bells from (?P<low>[-+.e\d]+) to (?P<high>[-+.e\d]+))"
 )
+CORNER = re.compile(r"max\((.+?), 0\)")
+CORNER_SHARE = 0.05  # of the typical size of a quantity, within which it is rounded
 Range = tuple[float, float]
 
 
@@ -175,13 +177,21 @@ class _Place:
         return Effect(name, "F", self.equation, Dictionary(terms), {}, self.called)
 
     def formula(self, name: str, formula: str) -> Effect:
-        """A formula times a coefficient; its other names are parameters."""
+        """A formula times a coefficient; its other names are parameters.
+
+        A corner "max(..., 0)" is rounded as that of dry friction is, within a width
+        that a fit makes as small as the record asks for.
+        """
+        rounded = CORNER.sub(r"(\1 + sqrt((\1)**2 + corner**2))/2", formula)
         known = self.model.variables.of_slot("F").union(self.model.names_in_formulas)
         inner = {}
         for key in sorted(names_of(formula).difference(known - INNER.keys())):
             shares = INNER.get(key)
             inner[key] = Parameter(guess=Tried(self.z, shares) if shares else None)
-        body = self.body(formula)
+        if rounded != formula:
+            width = Share(self.z, CORNER_SHARE, (0.5,) * 6)
+            inner["corner"] = Parameter(lower=0.0, fixed=True, guess=width)
+        body = self.body(rounded)
         return self.effect(name, Term(body, Parameter(), inner, self.coefficient))
 
     def wave(self, name: str) -> Effect:
