@@ -441,7 +441,7 @@ def test_a_wave_that_leaves_more_is_not_named(monkeypatch) -> None:
     larger = {str(WAVE): fitted(run(2.0)), f"{DAMPER} and {WAVE}": fitted(run(2.0))}
     wave = Case([candidate(WAVE, 20.0)], larger=larger, alone=None)
     found = wave.concluded(monkeypatch)
-    doubt = "more is missing, and every function of time contains such waves"
+    doubt = "more is missing, and every function contains such waves"
     assert found.verdict == UNEXPLAINED and lost(found)[str(WAVE)] == doubt
     assert replace(wave, alone=19.0).concluded(monkeypatch).verdict == NAMED
     # Nor as one of several.

@@ -82,12 +82,19 @@ def test_a_killed_dask_worker_loses_nothing(serial: dict[str, Any]) -> None:
         "distributed.logging.distributed": "critical",
         "distributed.comm.timeouts.connect": f"{HANGS_AFTER}s",
     }
-    cluster = partial(distributed.LocalCluster, 3, 1, True, dashboard_address=":0")
+    cluster = partial(
+        distributed.LocalCluster,
+        n_workers=3,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=":0",
+    )
     with (
         dask.config.set(quiet),
         cluster() as three,
         distributed.Client(three) as client,
     ):
+        client.wait_for_workers(3)
         pids = list(client.run(os.getpid).values())
         found: dict[str, Any] = {}
         executor = client.get_executor()

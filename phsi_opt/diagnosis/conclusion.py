@@ -269,9 +269,8 @@ class _Judge:
         is_small = is_failing(self.base.judged) and share < LEAST_FINDING
         if proposal.is_complete and not is_small:
             return ""
-        of_time = [is_wave(one) and one.needs_clock for one in proposal.effects]
-        if any(of_time):
-            return "more is missing, and every function of time contains such waves"
+        if any(map(is_wave, proposal.effects)):
+            return "more is missing, and every function contains such waves"
         is_large = proposal.of_force >= MOST_OF_IT or share > LEAST_ERROR_EXPLAINED
         if is_small or not is_large:
             return (
