@@ -25,6 +25,13 @@ DETECTED = 6.63
 MOST_STEPS = {HIDDEN: 4, FIELD: 3}  # of a study
 REASON_LENGTH = 200  # characters kept of an error's message
 NAME, CLASS, FALSE, SILENT = "right name", "class", "false name", "silent"
+# How a name begins that is right of a force from outside the catalogue: functions of
+# one quantity are asked for there.
+TRUE_OUTSIDE = {
+    "attached absorber": "resonance on ",
+    "impact": "unknown force f(q",
+    "damping in one direction": "unknown force f(dH_dp",
+}
 NOTHING = ("nothing", "lasting")  # kinds of rows in which nothing is hidden
 ROW = {HIDDEN: "row", FIELD: "kind"}  # the column that names a case's row
 
@@ -105,7 +112,7 @@ def _one(case: Case, kind: str) -> Found:
     if kind in NOTHING:
         found["right"] = verdict == ph.Verdict.NOTHING_MISSING
     elif kind == "outside":
-        found["right"] = verdict == ph.Verdict.UNEXPLAINED
+        found["right"] = is_right_outside(case.hidden, diagnosis)
     if table.empty:
         return found
     first = table.iloc[0]
@@ -260,6 +267,17 @@ def misfit(case: Case, model: ph.Model, start: ph.Fit | None = None) -> float:
 def findings_of(diagnosis: ph.Diagnosis) -> set[Finding]:
     """What is established to be missing."""
     return {frozenset(map(str, finding.effects)) for finding in diagnosis.findings}
+
+
+def is_right_outside(hidden: str, diagnosis: ph.Diagnosis) -> bool:
+    """Of a force from outside: unexplained, or named by what it is a function of."""
+    if diagnosis.verdict == ph.Verdict.UNEXPLAINED:
+        return True
+    true = TRUE_OUTSIDE.get(hidden, "none")
+    named = [
+        any(one.startswith(true) for one in each) for each in findings_of(diagnosis)
+    ]
+    return bool(named) and all(named)
 
 
 def as_text(found: set[Finding]) -> str:

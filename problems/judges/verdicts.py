@@ -13,8 +13,9 @@ to `battery`.
 Right: where the catalogue has the hidden effect, every finding holds a true one ("right
 name": and nothing else; "class": beside others). Where it has not, nothing is found;
 and with nothing hidden in a machine of hidden effects the verdict is
-"nothing missing", with a force of no catalogue "unexplained". (A force of no catalogue
-that an effect imitates counts as wrong here; `battery` leaves it out.)
+"nothing missing", with a force of no catalogue "unexplained", or a function of its
+quantity. (Where an effect imitates it that counts as wrong here; `battery` leaves it
+out.)
 """
 
 import os
@@ -36,6 +37,7 @@ from problems.battery.ask import (
     answer,
     as_text,
     findings_of,
+    is_right_outside,
 )
 from problems.battery.draw import FIRST_VERDICT, ROWS, TABLES, draw
 from problems.battery.records import HIDDEN
@@ -78,6 +80,8 @@ def examined(task: Task) -> Record:
         fit = ph.identify(case.model, case.train)
         diagnosis = ph.diagnose(fit, case.train, held_out=case.test)
         record |= told(names, SILENCE.get(row.kind, ""), diagnosis)
+        if row.kind == "outside":
+            record["right"] = is_right_outside(case.hidden, diagnosis)
     # Whatever goes wrong is a case without an answer.
     except Exception as error:
         said = f"{type(error).__name__}: {str(error)[:REASON_LENGTH]}"
