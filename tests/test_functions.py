@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.model.catalogue import effect_kind
+from phsi_opt.model.catalogue import effect_kind, effect_named
 from phsi_opt.model.functions import (
     along_function,
     formulas_like,
@@ -258,3 +258,18 @@ def test_a_function_of_a_difference_acts_between_two_bodies() -> None:
     stop = "unknown force f(q1 - q2) like c*max((q1 - q2) - limit, 0) on p1 - p2"
     assert stop in formulas
     assert model.add(stop).free[-1].endswith(".limit")
+
+
+def test_a_range_far_from_zero_keeps_its_digits() -> None:
+    model = ph.FirstOrder(["T"], {"T": "P/C - a*T"}, inputs=["P"], kind="thermal")
+    ranges = {"T": (293.152, 293.418), "P": (0.0, 1e-7)}
+    for effect in unknown_functions(model, ranges.__getitem__):
+        assert effect_named(model, str(effect)) == effect
+    z, shapes = along_function(effect_named(model, str(effect)))
+    assert np.isfinite(shapes).all() and np.ptp(z) > 0
+
+
+def test_names_of_a_model_that_formulas_need_are_left_alone() -> None:
+    model = ph.FirstOrder(["width"], {"width": "-a*width"})
+    (bells, *_) = unknown_functions(model, lambda _: (0.0, 1.0))
+    assert list(formulas_like(model, bells)) == []

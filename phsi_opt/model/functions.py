@@ -25,6 +25,7 @@ from scipy.linalg import qr
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
+from phsi_opt.model.directions import direction_parts, summed
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import NUMPY, evaluate, names_of
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
@@ -53,12 +54,18 @@ FORMULAS = (
 )
 # Of the numbers inside of a formula: shares of the largest value to begin with.
 INNER = {"width": (0.1, 0.2, 0.35, 0.6, 1.0), "limit": (-0.7, -0.4, 0.0, 0.4, 0.7, 0.9)}
+NUMBER = r"-?\d{1,20}(?:\.\d{1,20})?(?:e[-+]\d{1,2})?"
 NAME = re.compile(
     r"unknown [a-z ]{1,40} (?P<kind>[fr])\((?P<z>\w+(?: - \w+)?)\) "
-    r"(?:like c\*(?P<formula>.+)|(?P<wave>that repeats)"
-    r"|of (?P<n>\d{1,2}) bells from (?P<low>[-+.e\d]+) to (?P<high>[-+.e\d]+))"
+    r"(?:like c\*(?P<formula>.{1,500})|(?P<wave>that repeats)"
+    rf"|of (?P<n>\d{{1,2}}) bells from (?P<low>{NUMBER}) to (?P<high>{NUMBER}))"
 )
-CORNER = re.compile(r"max\((.+?), 0\)")
+# Corners are rounded as that of dry friction is, within a width that a fit makes as
+# small as the record asks for.
+ROUNDED = {
+    "max({z} - limit, 0)": "({z} - limit + sqrt(({z} - limit)**2 + corner**2))/2",
+    "max(limit - {z}, 0)": "(limit - {z} + sqrt((limit - {z})**2 + corner**2))/2",
+}
 CORNER_SHARE = 0.05  # of the typical size of a quantity, within which it is rounded
 Range = tuple[float, float]
 
@@ -100,7 +107,7 @@ def unknown_functions(
         if not low < high:
             continue
         for n in N_BELLS:
-            name = f"{place.called} of {n} bells from {low:g} to {high:g}"
+            name = f"{place.called} of {n} bells from {low:.10g} to {high:.10g}"
             yield place.bells(name, n, (low, high))
 
 
@@ -109,8 +116,11 @@ def formulas_like(model: BaseModel, bells: Effect) -> Iterator[Effect]:
     found = NAME.fullmatch(bells.name)
     assert found is not None
     place = _Place(model, bells.equation, found["z"], found["kind"])
-    if place.kind == "f" and place.z in model.states:
+    if place.kind == "f" and place.z in model.states and place.z != place.equation:
         yield place.wave(f"{place.called} that repeats")
+    known = model.variables.of_slot("F").union(model.names_in_formulas)
+    if not known.isdisjoint((*INNER, "corner")):
+        return  # the formulas need these names
     top = f"{max(abs(float(found['low'])), abs(float(found['high']))):g}"
     for shape in FORMULAS:
         formula = shape.format(z=place.variable, top=top)
@@ -171,18 +181,19 @@ class _Place:
     def body(self, shape: str) -> str:
         if self.kind == "f":
             return shape
-        return f"-({shape})*{effort_of(self.model, self.equation)}"
+        parts = direction_parts(self.equation, tuple(self.model.states))
+        efforts = {part.state: effort_of(self.model, part.state) for part in parts}
+        return f"-({shape})*{summed(parts, efforts)}"
 
     def effect(self, name: str, *terms: Term) -> Effect:
         return Effect(name, "F", self.equation, Dictionary(terms), {}, self.called)
 
     def formula(self, name: str, formula: str) -> Effect:
-        """A formula times a coefficient; its other names are parameters.
-
-        A corner "max(..., 0)" is rounded as that of dry friction is, within a width
-        that a fit makes as small as the record asks for.
-        """
-        rounded = CORNER.sub(r"(\1 + sqrt((\1)**2 + corner**2))/2", formula)
+        """A formula times a coefficient; its other names are parameters."""
+        rounded = formula
+        for told, body in ROUNDED.items():
+            if formula == told.format(z=self.variable):
+                rounded = body.format(z=self.variable)
         known = self.model.variables.of_slot("F").union(self.model.names_in_formulas)
         inner = {}
         for key in sorted(names_of(formula).difference(known - INNER.keys())):
@@ -220,7 +231,7 @@ class _Place:
         kept = np.sort(order[: n - sum(has_line)])
         terms = []
         for number, k in enumerate(kept.tolist()):
-            shape = f"exp(-(({self.z}{_less(centres[k])})/{step:.6g})**2)"
+            shape = f"exp(-(({self.z}{_less(centres[k])})/{step:.10g})**2)"
             constant, slope = straight[k].tolist()
             shape += _less(constant) + (
                 f"{_less(slope)}*{self.variable}" if slope else ""
@@ -234,7 +245,7 @@ def _less(number: float) -> str:
     """As text of a difference: " - 0.3", or " + 0.3"; "" of zero."""
     if not number:
         return ""
-    return f" {'-' if number > 0 else '+'} {abs(number):.6g}"
+    return f" {'-' if number > 0 else '+'} {abs(number):.10g}"
 
 
 def _places(model: BaseModel) -> Iterator[_Place]:

@@ -5,11 +5,10 @@ for printing; ``Model`` keeps the functions. This file knows nothing of data, lo
 solvers.
 """
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -230,8 +229,22 @@ def model_summary(model: BaseModel) -> Summary:
     return Summary(title, tuple(parts))
 
 
-# The coefficient of a bell of an unknown function (`model.functions`).
-BELL = re.compile(r"(?P<kind>[fr])_(?P<z>\w+)_on_(?P<x>\w+)_\d+")
+class Bell(NamedTuple):
+    """What the name of a bell's coefficient says, such as r_q_on_p_3."""
+
+    kind: str  # "f", or "r" of a loss
+    z: str  # what the function depends on
+    x: str  # where it acts
+    function: str  # its name without the number
+
+    @classmethod
+    def of(cls, name: str) -> "Bell | None":
+        """Of a name; None: it is none (`model.functions`)."""
+        function, _, number = name.rpartition("_")
+        kind, _, rest = function.partition("_")
+        z, on, x = rest.partition("_on_")
+        is_bell = kind in ("f", "r") and on and x and number.isdigit()
+        return cls(kind, z, x, function) if is_bell else None
 
 
 def dictionary_rows(
@@ -242,14 +255,14 @@ def dictionary_rows(
     bells: dict[str, list[str]] = {}
     for placed in model.placed():
         terms = sums.setdefault(placed.place, [])
-        bell = BELL.fullmatch(placed.term.name)
+        bell = Bell.of(placed.term.name)
         if bell is None:
             terms.append(written(placed.term, placed.place, len(terms) + 1))
             continue
-        function = f"{bell['kind']}_{bell['x']}({bell['z']})"
+        function = f"{bell.kind}_{bell.x}({bell.z})"
         if function not in bells:
             effort = placed.term.body.rpartition("*")[2]
-            terms.append(f"-{function}*{effort}" if bell["kind"] == "r" else function)
+            terms.append(f"-{function}*{effort}" if bell.kind == "r" else function)
         bells.setdefault(function, []).append(placed.term.name)
     rows = []
     for place, terms in sums.items():

@@ -14,7 +14,7 @@ from typing import Any
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import position_of_momentum
-from phsi_opt.model.symbolic import BELL, Expressions
+from phsi_opt.model.symbolic import Bell, Expressions
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.numbers import decimal
 
@@ -68,10 +68,10 @@ def typeset_equations(
         known[name] = named(_name(name)) if is_named else sp.Float(f"{value:.3g}")
     pairs = position_of_momentum(model)
     for name, bell in functions.items():
-        letter = f"<msub><mi>{bell['kind']}</mi>{_name(bell['x'])}</msub>"
-        momentum = bell["z"].removeprefix("dH_d")
-        variable = _name(bell["z"])
-        if momentum in pairs and bell["z"] not in model.states:
+        letter = f"<msub><mi>{bell.kind}</mi>{_name(bell.x)}</msub>"
+        momentum = bell.z.removeprefix("dH_d")
+        variable = _name(bell.z)
+        if momentum in pairs and bell.z not in model.states:
             variable = _velocity(pairs[momentum])
         at = f"<mo>(</mo>{variable}<mo>)</mo>"
         known[name] = named(f"<mrow>{letter}{at}</mrow>")
@@ -119,21 +119,20 @@ def typeset_equations(
 
 def _with_named_functions(
     model: BaseModel,
-) -> tuple[BaseModel, dict[str, re.Match[str]]]:
+) -> tuple[BaseModel, dict[str, Bell]]:
     """With one name in place of the bells of each unknown function."""
-    named: dict[str, re.Match[str]] = {}
+    named: dict[str, Bell] = {}
     forces = {}
     for equation, dictionary in model.F.items():
         terms = {}  # a function once
         for term in dictionary:
             one = term
-            if bell := BELL.fullmatch(term.name):
-                name = term.name.rpartition("_")[0]
-                named[name] = bell
-                body = name
-                if bell["kind"] == "r":
-                    body = f"-{name}*{term.body.rpartition('*')[2]}"
-                one = Term(body, None, {name: Parameter(1.0)})
+            if bell := Bell.of(term.name):
+                body = bell.function
+                named[body] = bell
+                if bell.kind == "r":
+                    body = f"-{body}*{term.body.rpartition('*')[2]}"
+                one = Term(body, None, {bell.function: Parameter(1.0)})
             terms[one.body] = one
         forces[equation] = Dictionary(tuple(terms.values()))
     return (replace(model, F=forces) if named else model), named

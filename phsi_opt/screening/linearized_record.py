@@ -28,6 +28,7 @@ from phsi_opt.model_error.marginal_likelihood import (
     OptimalitySystem,
 )
 from phsi_opt.screening.weighing import EvidenceRecord
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import SCHEME
@@ -120,9 +121,11 @@ class LinearizedRecord:
         return np.asarray(self.theta[self.unknown.table])
 
     def range_of(self, quantity: str) -> tuple[float, float]:
-        """Its least and its largest value along the record, to three digits."""
+        """Its least and its largest value along the record, to a hundredth of it."""
         values = values_at(self.model, self.grid, self.states, quantity)
-        return float(f"{values.min():.3g}"), float(f"{values.max():.3g}")
+        spread = max(float(np.ptp(values)), TINY)
+        digits = int(np.ceil(2 - np.log10(spread)))
+        return round(float(values.min()), digits), round(float(values.max()), digits)
 
     @cached_property
     def defects(self) -> np.ndarray:
