@@ -93,6 +93,7 @@ class Case:
     force_left: float = 0.0  # beside several
     alone: float | None = -100.0  # log evidence without a force; None: not found
     functions: list[Candidate] = field(default_factory=list)  # unknown ones
+    are_candidates: bool = True
 
     def concluded(self, monkeypatch: pytest.MonkeyPatch) -> ph.Diagnosis:
         record = SimpleNamespace(
@@ -111,11 +112,9 @@ class Case:
         monkeypatch.setattr(
             conclusion, "rank_again", lambda *_: ranking.candidates.extend(self.again)
         )
-        monkeypatch.setattr(
-            conclusion,
-            "rank_functions",
-            lambda *_: ranking.candidates.extend(self.functions),
-        )
+        ranking.join = lambda further: ranking.candidates.extend(further.candidates)
+        further = SimpleNamespace(candidates=self.functions)
+        monkeypatch.setattr(conclusion, "ranked_functions", lambda *_: further)
         monkeypatch.setattr(conclusion, "Search", lambda *_: self.search())
         monkeypatch.setattr(conclusion, "refit", self.refit)
         monkeypatch.setattr(
@@ -125,7 +124,7 @@ class Case:
         effects = [DAMPER, FRICTION, PUSH, SPRING, WAVE, OFFSET]
         evidence: Any = record
         return conclusion.concluded(
-            self.base, evidence, effects, functions=bool(self.functions)
+            self.base, evidence, effects, functions=self.are_candidates
         )
 
     def refit(self, base: DiagnosedModel, one: Candidate) -> DiagnosedModel | None:
@@ -459,7 +458,7 @@ def test_an_unknown_function_is_asked_where_a_force_remains(monkeypatch) -> None
     case = Case(
         [candidate(DAMPER, 20.0), candidate(FRICTION, 1.0)],
         larger={str(DAMPER): fitted(run(2.0)), str(function): fitted(run(1.05, p=0.5))},
-        functions=[candidate(function, 40.0)],
+        functions=[candidate(function, 40.1)],
         alone=None,
     )
     found = case.concluded(monkeypatch)
@@ -469,6 +468,14 @@ def test_an_unknown_function_is_asked_where_a_force_remains(monkeypatch) -> None
     both = ((DAMPER, FRICTION), 50.0, (23.0, 25.0))
     found = replace(case, several=[both]).concluded(monkeypatch)
     assert [one.effects for one in found.findings] == [(FRICTION,), (DAMPER,)]
+    # Where none may be named, it is a doubt.
+    given = replace(case, are_candidates=False)
+    found = given.concluded(monkeypatch)
+    assert lost(found)[str(DAMPER)] == (
+        f"{function} is more likely (log evidence 40.1 against 20.0)"
+    )
+    less = replace(given, functions=[candidate(function, 40.0)])
+    assert less.concluded(monkeypatch).verdict == PARTLY_NAMED
     # Not where an effect leaves none.
     found = replace(case, larger={}).concluded(monkeypatch)
     assert found.findings[0].effects == (DAMPER,)

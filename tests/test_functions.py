@@ -23,7 +23,7 @@ from phsi_opt.screening.effect_size import fitted_size
 
 BELLS = "unknown loss r(q) of 8 bells from -1 to 2"
 UNITS = {"t": "s", "q": "m", "u": "N"}
-Law = Callable[..., float]
+Law = Callable[..., Any]
 
 
 MASS = ph.Parameter(1.5, fixed=True, unit="kg")
@@ -166,10 +166,11 @@ def test_a_loss_that_depends_on_the_position_reads_like_a_formula(
     )
     assert abs(finding.coefficient - 2.5) < 3 * finding.std_error < 0.5
     assert finding.unit == "N s/m"
-    assert found.proposed_fit.estimates  # kept, and read again
+    fit = found.proposed_fit
+    assert fit is not None
     path = tmp_path / "fit.json"
-    found.proposed_fit.save(path)
-    assert ph.Fit.load(path).estimates == found.proposed_fit.estimates
+    fit.save(path)
+    assert ph.Fit.load(path).estimates == fit.estimates
 
 
 @pytest.mark.slow
@@ -197,7 +198,7 @@ def test_a_function_that_is_no_formula_is_a_sum_of_bells() -> None:
     assert abs(size.z) > 5 and size.unit == "N s/m"
 
 
-STORAGES = {
+STORAGES: dict[str, tuple[Law, Law, dict[str, float]]] = {
     "maxwell element on p": (
         lambda q, v, z, w: -8 * (q - z),
         lambda q, v, z, w: [(q - z) / 0.25, 0.0],
@@ -221,6 +222,7 @@ def test_a_storage_that_nobody_measures_is_found(name: str) -> None:
     found = diagnosed(measured(law, memory))
     assert [str(one) for finding in found.findings for one in finding.effects] == [name]
     fit = found.proposed_fit
+    assert fit is not None
     errors = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
     for parameter, true in expected.items():
         assert abs(fit.estimates[parameter] - true) < 4 * errors[parameter] < 0.1 * true

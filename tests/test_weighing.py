@@ -94,19 +94,6 @@ def test_the_base_is_as_likely_as_the_best_point_that_a_larger_model_finds() -> 
     assert better.base.names == base.names
 
 
-@pytest.mark.parametrize("name", LOSSES)
-def test_an_unknown_function_gains_less_than_the_law_that_it_follows(name: str) -> None:
-    # It follows the stiffness too: were that free to move with it, it would gain more.
-    record = record_of(LOSSES[name])
-    function = record.with_functions(1)
-    assert function is not None
-    (kind,) = function.disturbances.functions
-    assert kind.state == 1  # the momentum
-    gain = function.log_evidence - record.base.log_evidence
-    law = weighed(record, name).log_evidence - record.base.log_evidence
-    assert DECISIVE_EVIDENCE < gain < law
-
-
 def pushed_at_random() -> ph.Measurements:
     """Positions of an oscillator under a strong random force."""
     rng = np.random.default_rng(1)

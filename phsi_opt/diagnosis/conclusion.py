@@ -37,7 +37,7 @@ from phsi_opt.diagnosis.candidate import (
     class_of,
 )
 from phsi_opt.diagnosis.data_causes import data_cause
-from phsi_opt.diagnosis.ranking import Ranking, rank_again, rank_functions, ranked
+from phsi_opt.diagnosis.ranking import Ranking, rank_again, ranked, ranked_functions
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import (
     DiagnosedModel,
@@ -65,7 +65,8 @@ def concluded(
 ) -> Diagnosis:
     """The diagnosis of a model, with evidence beside a record, by these effects.
 
-    Where they leave something unexplained, by unknown ``functions`` too.
+    Where they leave something unexplained, unknown functions are weighed; they are
+    candidates too if ``functions`` says so.
     """
     ranking = ranked(base, record, effects)
     return _Judge(base, effects, ranking, functions).concluded()
@@ -113,6 +114,7 @@ class _Judge:
     ranking: Ranking
     functions: bool
     refits: dict[str, DiagnosedModel] = field(default_factory=dict)
+    rivals: Sequence[Candidate] = ()  # unknown functions that were weighed
 
     def concluded(self) -> Diagnosis:
         single = self.single()
@@ -121,9 +123,12 @@ class _Judge:
                 return self.without_effect(Verdict.NOTHING_MISSING)
             rank_again(self.base, self.ranking, self.effects)
             single = self.single()
-        if self.functions and (single is None or not single.is_complete):
-            rank_functions(self.base, self.ranking)
-            single = self.single()
+        if single is None or not single.is_complete:
+            functions = ranked_functions(self.base, self.ranking, self.functions)
+            self.rivals = functions.candidates
+            if self.functions:
+                self.ranking.join(functions)
+                single = self.single()
         several = None
         # What a function of many numbers explains a few laws may explain better.
         if single is None or not single.is_complete or single.has_function:
@@ -277,7 +282,19 @@ class _Judge:
                 f"it explains only {100 * proposal.of_force:.0f} % of what is missing "
                 f"(mean square) and {100 * max(0.0, share):.0f} % of the error"
             )
-        return ""
+        return self.rival(proposal)
+
+    def rival(self, proposal: _Proposal) -> str:
+        """An unknown function that is far likelier; empty where there is none."""
+        evidence = [one.log_evidence for one in self.rivals]
+        highest = max(evidence, default=-np.inf)
+        if not proposal.log_evidence < MOST_OF_IT * highest:
+            return ""
+        function = self.rivals[evidence.index(highest)]
+        return (
+            f"{function.name} is more likely (log evidence {highest:.1f} against "
+            f"{proposal.log_evidence:.1f})"
+        )
 
     def is_worse(self, larger: DiagnosedModel) -> bool:
         """Whether a free run is farther off than the base's, and not by noise."""

@@ -63,6 +63,13 @@ class Ranking:
         self.weighed[found.name] = weighed
         return found
 
+    def join(self, further: "Ranking") -> None:
+        """Take in what was weighed beside the same weighing of the base."""
+        self.weighed |= further.weighed
+        for one in further.candidates:
+            self.screened[one.name] = further.screened[one.name]
+        self.candidates = _in_order([*self.candidates, *further.candidates])
+
     def _candidate(
         self, base: DiagnosedModel, one: Screened, weighed: Weighed
     ) -> Candidate:
@@ -198,10 +205,12 @@ def rank_again(
     ranking.candidates = _in_order(ranking.candidates)
 
 
-def rank_functions(base: DiagnosedModel, ranking: Ranking) -> None:
-    """Add what was weighed of unknown functions to a ranking.
+def ranked_functions(
+    base: DiagnosedModel, ranking: Ranking, are_candidates: bool
+) -> Ranking:
+    """Unknown functions that lead either list of screening, weighed.
 
-    Those that lead either list of screening, and the formulas that they may be.
+    Where they are candidates, so are the formulas that they may be.
     """
     base.say("screening unknown functions")
     records = [LinearizedRecord.beside_force(ranking.record)]
@@ -218,13 +227,14 @@ def rank_functions(base: DiagnosedModel, ranking: Ranking) -> None:
         leaders |= dict(list(found.items())[:MOST_LEADERS])
     functions: list[Effect] = []
     for alike in leaders.values():
-        functions += [*formulas_like(model, alike[0]), *alike]
+        if are_candidates:
+            functions += formulas_like(model, alike[0])
+        functions += alike
     further = _ranked_beside(base, ranking.record, functions)
-    rank_again(base, further, functions)
-    weighed = [one for one in further.candidates if one.was_weighed]
-    ranking.weighed |= further.weighed
-    ranking.screened |= {one.name: further.screened[one.name] for one in weighed}
-    ranking.candidates = _in_order([*ranking.candidates, *weighed])
+    if are_candidates:
+        rank_again(base, further, functions)
+    further.candidates = [one for one in further.candidates if one.was_weighed]
+    return further
 
 
 def weighed_of(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.linalg import qr
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
@@ -42,7 +41,7 @@ from phsi_opt.model.terms import Dictionary, Term
 N_BELLS = (6, 12)  # of a function that is wide, and of one with details
 N_SAMPLES = 60  # along a function, where it is told
 # Their coefficient is the value where they are largest, as far as the record goes.
-FORMULAS = (
+SHAPES = (
     "sinh({z}/width)/sinh({top}/width)",
     "tanh({z}/width)/tanh({top}/width)",
     "exp(-({z}/width)**2)",
@@ -54,11 +53,11 @@ FORMULAS = (
 )
 # Of the numbers inside of a formula: shares of the largest value to begin with.
 INNER = {"width": (0.1, 0.2, 0.35, 0.6, 1.0), "limit": (-0.7, -0.4, 0.0, 0.4, 0.7, 0.9)}
-NUMBER = r"-?\d{1,20}(?:\.\d{1,20})?(?:e[-+]\d{1,2})?"
+NUMERAL = r"-?\d{1,20}(?:\.\d{1,20})?(?:e[-+]\d{1,2})?"
 NAME = re.compile(
     r"unknown [a-z ]{1,40} (?P<kind>[fr])\((?P<z>\w+(?: - \w+)?)\) "
     r"(?:like c\*(?P<formula>.{1,500})|(?P<wave>that repeats)"
-    rf"|of (?P<n>\d{{1,2}}) bells from (?P<low>{NUMBER}) to (?P<high>{NUMBER}))"
+    rf"|of (?P<n>\d{{1,2}}) bells from (?P<low>{NUMERAL}) to (?P<high>{NUMERAL}))"
 )
 # Corners are rounded as that of dry friction is, within a width that a fit makes as
 # small as the record asks for.
@@ -122,7 +121,7 @@ def formulas_like(model: BaseModel, bells: Effect) -> Iterator[Effect]:
     if not known.isdisjoint((*INNER, "corner")):
         return  # the formulas need these names
     top = f"{max(abs(float(found['low'])), abs(float(found['high']))):g}"
-    for shape in FORMULAS:
+    for shape in SHAPES:
         formula = shape.format(z=place.variable, top=top)
         effect = place.formula(f"{place.called} like c*{formula}", formula)
         if not is_redundant(model, effect):
@@ -214,6 +213,8 @@ class _Place:
 
     def bells(self, name: str, n: int, along: Range) -> Effect:
         """A sum of n bells, each less the line that the model has."""
+        from scipy.linalg import qr  # what listing effects does not need
+
         centres = np.linspace(*along, n)
         step = float(centres[1] - centres[0])
         z = np.linspace(*along, N_SAMPLES)

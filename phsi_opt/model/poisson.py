@@ -80,6 +80,13 @@ def casimirs(model: BaseModel, degree: int = 2) -> list[str]:
     Args:
         model: with values for the parameters of S.
         degree: of the polynomials, at most.
+
+    Examples:
+        >>> S = {("x", "y"): 1.0, ("y", "z"): 2.0}
+        >>> H = "x**2 + y**2 + z**2"
+        >>> tanks = ph.PseudoHamiltonian(states=["x", "y", "z"], S=S, H=H)
+        >>> ph.casimirs(tanks)
+        ['x + 0.5*z']
     """
     require_count("degree", degree)
     x = ca.SX.sym("x", model.n_states)
