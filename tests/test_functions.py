@@ -179,22 +179,22 @@ def test_a_function_that_is_no_formula_is_a_sum_of_bells() -> None:
         humps = np.exp(-(((q - 0.5) / 0.3) ** 2)) + np.exp(-(((q + 0.6) / 0.25) ** 2))
         return float(-1.5 * humps * v)
 
-    data = measured(loss)
-    study = ph.Study(spring(), data[:2], held_out=data[2:])
-    study.auto(max_steps=1)
-    (effect,) = study.added
+    found = diagnosed(measured(loss), kinds=["functions"])
+    (finding,) = found.findings
+    (effect,) = finding.effects
     assert effect.name.startswith("unknown loss r(q) of 12 bells")
-    last = study.history.iloc[-1]
-    assert last["held_out_rmse"] < 1.1 * last["noise_floor"]
+    fit = found.proposed_fit
+    assert fit is not None
+    assert found.candidates.iloc[0]["held_out_rmse"] < 1.1 * found.base.noise_floor
     # The curve, but for the constant that the damper has.
     z, shapes = along_function(effect)
     names = [term.name for term in effect.term]
-    curve = shapes @ [study.fit.estimates[name] for name in names]
+    curve = shapes @ [fit.estimates[name] for name in names]
     true = np.array([loss(q, -1.0) for q in z])
     inside = (z > -1) & (z < 1)
     error = (curve - true)[inside]
     assert np.std(error) < 0.2 * np.std(true[inside])
-    size = fitted_size(spring(), study.fit, effect)
+    size = fitted_size(spring(), fit, effect)
     assert abs(size.z) > 5 and size.unit == "N s/m"
 
 

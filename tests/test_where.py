@@ -395,13 +395,15 @@ def analysed(torque: Callable[[float], float], unit: str = "rad") -> ForceAnalys
 
 def test_a_force_that_repeats_along_a_position_is_found() -> None:
     data = turned(cogging, "rad")
-    study = ph.Study(motor(), data)
-    study.auto(max_steps=1)
-    assert [str(one) for one in study.added] == ["unknown force f(q) that repeats on p"]
-    omega = study.fit.values["F_p.omega_q"]
+    fit = ph.identify(motor(), data)
+    found = ph.diagnose(fit, data, kinds=["functions"])
+    (finding,) = found.findings
+    assert list(map(str, finding.effects)) == ["unknown force f(q) that repeats on p"]
+    assert found.proposed_fit is not None
+    omega = found.proposed_fit.values["F_p.omega_q"]
     assert omega == pytest.approx(6.0, rel=2e-3)
-    last = study.history.iloc[-1]
-    assert last["train_rmse"] < 1.1 * last["noise_floor"]
+    first = found.candidates.iloc[0]
+    assert first["train_rmse"] < 1.1 * found.base.noise_floor
 
 
 def test_a_law_of_the_position_follows_it() -> None:
