@@ -287,3 +287,28 @@ def test_a_magnetic_field_is_a_poisson_structure_whatever_it_is() -> None:
     assert ph.is_poisson(charged)
     # Not where the field depends on the velocity.
     assert not ph.is_poisson(coupled_by({**canonical, ("p1", "p2"): "1 + p1"}))
+
+
+def test_a_structure_of_more_than_the_states_is_not_told() -> None:
+    S: Any = {("x", "y"): "u"}
+    states = ["x", "y", "z"]
+    H = "x**2 + y**2 + z**2"
+    driven = ph.PseudoHamiltonian(states=states, S=S, H=H, inputs=["u"])
+    assert "Jacobi" not in str(driven)
+    with pytest.raises(ph.ModelError, match="S_x_y contains u; expected a function"):
+        ph.is_poisson(driven)
+    with pytest.raises(ph.ModelError, match="has no finite value"):
+        ph.is_poisson(three({("x", "y"): "log(x - 5)"}))
+    with pytest.raises(ph.ModelError, match="without an energy has no S"):
+        ph.casimirs(ph.FirstOrder(["x"], {"x": "-a*x"}))
+    with pytest.raises(ph.ModelError, match="degree=9"):
+        ph.casimirs(driven, degree=9)
+
+
+def test_casimirs_of_mixed_degree_and_of_small_entries() -> None:
+    assert ph.casimirs(three({("x", "y"): 1.0, ("y", "z"): "2*x"})) == ["z + x**2"]
+    tiny = three({("x", "y"): "-z*1e-9", ("x", "z"): "y*1e-9", ("y", "z"): "-x*1e-9"})
+    assert ph.casimirs(tiny) == ["x**2 + y**2 + z**2"]
+    assert not ph.is_poisson(
+        three({("x", "y"): "-z*1e-9", ("x", "z"): "x*y*1e-9", ("y", "z"): "-x*1e-9"})
+    )

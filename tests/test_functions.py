@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.model.catalogue import effect_kind, effect_named
+from phsi_opt.model.catalogue import EffectChoice, effect_kind, effect_named
 from phsi_opt.model.functions import (
     along_function,
     formulas_like,
@@ -21,7 +21,8 @@ from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.model.typeset import typeset_equations
 from phsi_opt.screening.effect_size import fitted_size
 
-BELLS = "unknown loss r(q) of 8 bells from -1 to 2"
+BELLS = "unknown loss r(q) of 8 bells from -1 to 2, less a constant"
+PUSH = "unknown force f(q) of 8 bells from -1 to 2, less a slope"
 UNITS = {"t": "s", "q": "m", "u": "N"}
 Law = Callable[..., Any]
 
@@ -83,7 +84,8 @@ def test_what_is_proposed_is_known_by_its_name() -> None:
             proposed += formulas_like(spring(), bells)
     names = [str(one) for one in proposed]
     assert len(set(names)) == len(names) > 20
-    assert {"unknown loss r(q) of 6 bells from -1.5 to 2 on p"} < set(names)
+    of_loss = "unknown loss r(q) of 6 bells from -1.5 to 2, less a constant on p"
+    assert of_loss in names
     assert {"unknown force f(dH_dp) like c*max(dH_dp - limit, 0) on p"} < set(names)
     for effect in proposed:
         assert function_named(spring(), effect.name, "p") == effect
@@ -93,7 +95,7 @@ def test_what_is_proposed_is_known_by_its_name() -> None:
 
 def test_bells_leave_out_what_the_model_has() -> None:
     loss = function_named(spring(), BELLS, "p")
-    force = function_named(spring(), BELLS.replace("loss r", "force f"), "p")
+    force = function_named(spring(), PUSH, "p")
     assert loss is not None and force is not None
     assert is_function(loss) and is_function(force)
     # The damper is a constant loss, and the spring a line; there is no constant force.
@@ -116,6 +118,12 @@ def test_any_formula_may_stand_in_a_name() -> None:
     assert {"f_q_on_p", "f_q_on_p.width"} < set(larger.free)
     units = parameter_units(larger, UNITS)
     assert units["f_q_on_p.width"] == "m"
+    # Any other name is a parameter, too.
+    other = spring().add("unknown loss r(q) like c*sin(q/period)", "p")
+    theta = [{"r_q_on_p": 2.0}.get(name, 1.0) for name in other.free]
+    rates = other.rhs()([0.5, 3.0], [0.0], 0.0, theta).full().ravel()
+    plain = spring().rhs()([0.5, 3.0], [0.0], 0.0, [1.0, 1.0]).full().ravel()
+    assert (rates - plain)[1] == pytest.approx(-2 * np.sin(0.5) * 3.0 / 1.5)
 
 
 def test_bells_are_written_as_a_function() -> None:
@@ -123,7 +131,10 @@ def test_bells_are_written_as_a_function() -> None:
     larger = spring().add(BELLS, "p").add(speed, "p")
     text = str(larger)
     assert "F_p = u - r_p(q)*dH_dp + f_p(dH_dp)\n" in text
-    assert "r_p(q) = a sum of bells, by the parameters r_q_on_p_0 to r_q_on_p_6" in text
+    assert (
+        "r_p(q) = a sum of bells, by the parameters r_q_on_p_bell_0 to r_q_on_p_bell_6"
+        in text
+    )
     *_, rate = typeset_equations(larger, larger.values, "s")
     assert "<msub><mi>r</mi><mi>p</mi></msub><mo>(</mo><mi>q</mi><mo>)</mo>" in rate
     assert "<msub><mi>f</mi><mi>p</mi></msub><mo>(</mo><mover" in rate
@@ -131,9 +142,15 @@ def test_bells_are_written_as_a_function() -> None:
 
 
 @pytest.mark.parametrize(("name", "message"), [
-    ("unknown loss r(q) of 8 bells from 2 to -1", "8 bells from 2 to -1; expected four"),
-    ("unknown loss r(q) of 2 bells from 0 to 1", "2 bells from 0 to 1; expected four"),
-    ("unknown loss r(z) of 8 bells from 0 to 1", "unknown name 'z'|'z'"),
+    ("unknown loss r(q) of 8 bells from 2 to -1", "8 bells from 2 to -1; expected 4"),
+    ("unknown loss r(q) of 2 bells from 0 to 1", "2 bells from 0 to 1; expected 4"),
+    ("unknown loss r(q) of 99 bells from 0 to 1", "99 bells from 0 to 1; expected 4"),
+    ("unknown loss r(q) of 8 bells from 1 to 1.0000000000000002", "along a range"),
+    ("unknown loss r(q) of 8 bells from 1e+300 to 1e+999", "along a range"),
+    ("unknown loss r(z) of 8 bells from 0 to 1", "'z' is unknown; expected one of q, p"),
+    ("unknown loss r(3) of 8 bells from 0 to 1", "'3' is unknown"),
+    ("unknown loss f(q) of 8 bells from 0 to 1", "is called 'unknown force f.q.'"),
+    ("unknown force f(q) like c*dH_dz", "name 'dH_dz'"),
     ("unknown force f(q) like c*exec(q)", "function 'exec'"),
 ])  # fmt: skip
 def test_a_name_that_makes_no_sense_is_refused(name: str, message: str) -> None:
@@ -150,6 +167,34 @@ def test_kinds_of_effects_can_be_chosen() -> None:
         ph.ModelError, match=r"kind 'storage' .* Did you mean 'storages'"
     ):
         ph.diagnose(fit, data[:2], kinds=["storage"])
+
+
+def test_a_function_and_a_formula_of_one_quantity_are_told_apart() -> None:
+    larger = spring().add(PUSH, "p").add("unknown force f(q) like c*abs(q)", "p")
+    *_, rate = typeset_equations(larger, larger.values, "s")
+    assert "<mo>(</mo><mi>q</mi><mo>)</mo>" in rate
+    # A state called T_1 makes no bell of a formula.
+    rooms = ph.FirstOrder(["T_1"], {"T_1": "P - a*T_1"}, inputs=["P"], kind="thermal")
+    rooms = rooms.add("unknown heat input f(P) like c*P**3", "T_1")
+    assert "a sum of bells" not in str(rooms)
+
+
+def test_what_does_not_change_has_no_function() -> None:
+    still = (300.0, 300.00000000000006)
+    assert list(unknown_functions(spring(), lambda _: still)) == []
+
+
+def test_a_loss_that_repeats_is_a_loss() -> None:
+    larger = spring().add("unknown loss r(q) that repeats", "p")
+    bodies = [term.body for term in larger.F["p"] if not term.is_formula]
+    assert bodies == [f"-dH_dp*({one}(omega_q*q))" for one in ("sin", "cos")]
+
+
+def test_a_function_may_be_asked_for_by_its_name() -> None:
+    choice = EffectChoice([f"{BELLS} on p"]).checked(spring())
+    assert [str(one) for one in choice.candidates(spring())] == [f"{BELLS} on p"]
+    without = EffectChoice(without=["hysteresis"]).checked(spring())
+    assert without.has_functions and not choice.has_functions
 
 
 # ---- found
@@ -244,13 +289,13 @@ def test_a_function_of_a_difference_acts_between_two_bodies() -> None:
         H="k*(q1 - q2)**2/2 + p1**2/2 + p2**2/4",
     )
     proposed = {str(one): one for one in unknown_functions(model, lambda _: (-1.0, 1))}
-    name = "unknown force f(q1 - q2) of 6 bells from -1 to 1 on p1 - p2"
+    name = "unknown force f(q1 - q2) of 6 bells from -1 to 1, less a slope on p1 - p2"
     effect = proposed[name]
     larger = model.add(name)
     assert larger == model.add(effect)
     # The spring is a line; what the first body gets the second one loses.
     assert len(effect.term) == 5
-    values = dict.fromkeys(larger.free, 0.0) | {"f_q1_q2_on_p1_p2_2": 0.7}
+    values = dict.fromkeys(larger.free, 0.0) | {"f_q1_q2_on_p1_p2_bell_2": 0.7}
     theta = [values[one] for one in larger.free]
     rates = larger.rhs()([0.3, -0.1, 0.0, 0.0], [], 0.0, theta).full().ravel()
     z, shapes = along_function(effect)

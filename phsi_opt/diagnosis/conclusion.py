@@ -125,7 +125,7 @@ class _Judge:
             single = self.single()
         if single is None or not single.is_complete:
             functions = ranked_functions(self.base, self.ranking, self.functions)
-            self.rivals = functions.candidates
+            self.rivals = [one for one in functions.candidates if not one.lost]
             if self.functions:
                 self.ranking.join(functions)
                 single = self.single()

@@ -41,14 +41,22 @@ class Ranking:
     candidates: list[Candidate] = field(default_factory=list)
     # What was weighed, by the name of the effect.
     weighed: dict[str, Weighed] = field(default_factory=dict)
+    # Odds of the effects that were asked besides those that were screened here.
+    before: float = 0.0
+
+    @property
+    def odds(self) -> float:
+        """Of all effects that were asked, together."""
+        known = (said_of(one.effect.name).odds for one in self.screened.values())
+        return self.before + sum(known)
 
     def price(self, one: Screened) -> float:
         """Logarithm of what was tried: values of inner numbers, and effects.
 
         Of the effects those count more that are met more often (`model.laws`).
         """
-        every = sum(said_of(other.effect.name).odds for other in self.screened.values())
-        return float(np.log(one.n_tried * every / said_of(one.effect.name).odds))
+        own = said_of(one.effect.name).odds
+        return float(np.log(one.n_tried * self.odds / own))
 
     def take(self, base: DiagnosedModel, one: Screened, weighed: Weighed) -> Candidate:
         """Note what was weighed; the likelier of two counts."""
@@ -65,10 +73,13 @@ class Ranking:
 
     def join(self, further: "Ranking") -> None:
         """Take in what was weighed beside the same weighing of the base."""
-        self.weighed |= further.weighed
-        for one in further.candidates:
-            self.screened[one.name] = further.screened[one.name]
-        self.candidates = _in_order([*self.candidates, *further.candidates])
+        new = [one for one in further.candidates if one.name not in self.weighed]
+        self.weighed = {**further.weighed, **self.weighed}
+        self.screened = {one.name: further.screened[one.name] for one in new} | (
+            self.screened
+        )
+        self.before += further.odds - self.odds  # of whatever was asked
+        self.candidates = _in_order([*self.candidates, *new])
 
     def _candidate(
         self, base: DiagnosedModel, one: Screened, weighed: Weighed
@@ -141,12 +152,16 @@ def ranked(
 
 
 def _ranked_beside(
-    base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
+    base: DiagnosedModel,
+    record: EvidenceRecord,
+    effects: Sequence[Effect],
+    before: float = 0.0,
 ) -> Ranking:
-    """All candidates beside one weighing of the base."""
+    """All candidates beside one weighing of the base; others were asked before."""
     base.say(f"screening {len(effects)} candidate effects")
     screened = screened_beside(LinearizedRecord.beside_force(record), effects)
-    ranking = Ranking(record, {str(one.effect): one for one in screened})
+    by_name = {str(one.effect): one for one in screened}
+    ranking = Ranking(record, by_name, before=before)
     chosen = [one for one in screened if one.gain > 0][:MOST_WEIGHED]
     cases = {str(place): one for place, one in enumerate(chosen)}
     highest = 0.0
@@ -230,7 +245,10 @@ def ranked_functions(
         if are_candidates:
             functions += formulas_like(model, alike[0])
         functions += alike
-    further = _ranked_beside(base, ranking.record, functions)
+    # The leaders come from all that were asked, and after the effects.
+    n_others = len(bells) - sum(map(len, leaders.values()))
+    before = ranking.odds + n_others * said_of("unknown").odds
+    further = _ranked_beside(base, ranking.record, functions, before)
     if are_candidates:
         rank_again(base, further, functions)
     further.candidates = [one for one in further.candidates if one.was_weighed]

@@ -501,6 +501,8 @@ def _as_offered(
     """What a user gave, as the catalogue calls it; an effect of one's own as it is."""
     if one in offered:
         return [str(one)]
+    if isinstance(one, str) and NAME.fullmatch(one.rpartition(" on ")[0]):
+        return [effect_named(model, one)]
     is_own = isinstance(one, Effect) and what == "effects"
     if is_own or _meant(one, offered):
         return [one]

@@ -10,37 +10,43 @@ in z that the model has already: a term of a few numbers, which is fitted, kept 
 and judged by its evidence as any law is. Beside it stand short formulas with an inner
 number. All are known by their names:
 
-    unknown loss r(q) of 12 bells from -0.8 to 1.1
+    unknown loss r(q) of 12 bells from -0.8 to 1.1, less a constant
     unknown force f(q) like c*tanh(q/width)/tanh(1.1/width)
-    unknown torque f(q) that repeats
+    unknown force f(q) that repeats
 """
 
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
+from phsi_opt.arguments import require_known
 from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.directions import direction_parts, summed
+from phsi_opt.model.directions import direction_parts, normal_direction, summed
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.expressions import NUMPY, evaluate, names_of
+from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
-from phsi_opt.model.redundancy import is_redundant
+from phsi_opt.model.redundancy import is_spanned
+from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
     WORDS,
     effort_of,
     forced_rows,
+    kind_of,
     position_of_momentum,
     role_of,
 )
 from phsi_opt.model.terms import Dictionary, Term
 
 N_BELLS = (6, 12)  # of a function that is wide, and of one with details
+FEWEST_BELLS, MOST_BELLS = 4, 30
 N_SAMPLES = 60  # along a function, where it is told
-# Their coefficient is the value where they are largest, as far as the record goes.
+LEAST_RANGE = 1e-6  # of a quantity, as a share of its size
+# Of sinh and tanh the coefficient is the value at the largest that the record has.
 SHAPES = (
     "sinh({z}/width)/sinh({top}/width)",
     "tanh({z}/width)/tanh({top}/width)",
@@ -53,11 +59,19 @@ SHAPES = (
 )
 # Of the numbers inside of a formula: shares of the largest value to begin with.
 INNER = {"width": (0.1, 0.2, 0.35, 0.6, 1.0), "limit": (-0.7, -0.4, 0.0, 0.4, 0.7, 0.9)}
-NUMERAL = r"-?\d{1,20}(?:\.\d{1,20})?(?:e[-+]\d{1,2})?"
+# What bells leave out, by whether the model has a constant, and a line through zero.
+LESS = {
+    (False, False): "",
+    (True, False): ", less a constant",
+    (False, True): ", less a slope",
+    (True, True): ", less a line",
+}
+NUMERAL = r"-?\d{1,20}(?:\.\d{1,20})?(?:e[-+]\d{1,3})?"
 NAME = re.compile(
     r"unknown [a-z ]{1,40} (?P<kind>[fr])\((?P<z>\w+(?: - \w+)?)\) "
     r"(?:like c\*(?P<formula>.{1,500})|(?P<wave>that repeats)"
-    rf"|of (?P<n>\d{{1,2}}) bells from (?P<low>{NUMERAL}) to (?P<high>{NUMERAL}))"
+    rf"|of (?P<n>\d{{1,2}}) bells from (?P<low>{NUMERAL}) to (?P<high>{NUMERAL})"
+    r"(?P<less>(?:, less a (?:constant|slope|line))?))"
 )
 # Corners are rounded as that of dry friction is, within a width that a fit makes as
 # small as the record asks for.
@@ -73,23 +87,21 @@ def function_named(model: BaseModel, name: str, equation: str) -> Effect | None:
     """The unknown function of a name, such as a diagnosis tells; None: it is none.
 
     Raises:
-        ModelError: its formula cannot be read, or it has no range.
+        ModelError: its formula cannot be read, it is a function of nothing that the
+            model has, or has no range.
     """
     found = NAME.fullmatch(name)
     if found is None:
         return None
-    place = _Place(model, equation, found["z"], found["kind"])
+    known = (*model.states, *model.inputs, *model.variables.efforts)
+    for one in found["z"].split(" - "):
+        require_known(one, known, f"effect {name!r}: {one!r} is unknown")
+    place = _Place(model, normal_direction(equation, model.states), found)
+    if not name.startswith(f"{place.called} "):
+        raise ModelError(f"effect {name!r} is called {place.called!r} in this model.")
     if found["formula"]:
         return place.formula(name, found["formula"])
-    if found["wave"]:
-        return place.wave(name)
-    low, high = float(found["low"]), float(found["high"])
-    if not low < high or int(found["n"]) < 4:
-        raise ModelError(
-            f"effect {name!r} has {found['n']} bells from {low:g} to {high:g}; "
-            "expected four or more, along a range that increases."
-        )
-    return place.bells(name, int(found["n"]), (low, high))
+    return place.wave(name) if found["wave"] else place.bells(name, _Bells.of(found))
 
 
 def unknown_functions(
@@ -103,28 +115,31 @@ def unknown_functions(
     """
     for place in _places(model):
         low, high = range_of(place.z)
-        if not low < high:
-            continue
-        for n in N_BELLS:
-            name = f"{place.called} of {n} bells from {low:.10g} to {high:.10g}"
-            yield place.bells(name, n, (low, high))
+        if high - low > LEAST_RANGE * max(abs(low), abs(high)):
+            less = LESS[place.is_known("1"), place.is_known(place.z)]
+            for n in N_BELLS:
+                of = f"of {n} bells from {low:.10g} to {high:.10g}{less}"
+                yield place.named(f"{place.called} {of}")
 
 
 def formulas_like(model: BaseModel, bells: Effect) -> Iterator[Effect]:
     """Short formulas that an unknown function may be."""
     found = NAME.fullmatch(bells.name)
     assert found is not None
-    place = _Place(model, bells.equation, found["z"], found["kind"])
+    place = _Place(model, bells.equation, found)
     if place.kind == "f" and place.z in model.states and place.z != place.equation:
-        yield place.wave(f"{place.called} that repeats")
-    known = model.variables.of_slot("F").union(model.names_in_formulas)
-    if not known.isdisjoint((*INNER, "corner")):
-        return  # the formulas need these names
-    top = f"{max(abs(float(found['low'])), abs(float(found['high']))):g}"
+        yield place.named(f"{place.called} that repeats")
+    along = _Bells.of(found)
+    names = model.variables.of_slot("F").union(model.names_in_formulas)
+    spread = along.high - along.low
+    is_far = along.low > spread or along.high < -spread  # from zero
+    if is_far or not names.isdisjoint((*INNER, "corner")):
+        return
+    top = f"{max(abs(along.low), abs(along.high)):g}"
     for shape in SHAPES:
         formula = shape.format(z=place.variable, top=top)
-        effect = place.formula(f"{place.called} like c*{formula}", formula)
-        if not is_redundant(model, effect):
+        effect = place.named(f"{place.called} like c*{formula}")
+        if not is_spanned(model, effect):
             yield effect
 
 
@@ -135,19 +150,81 @@ def is_function(effect: Effect) -> bool:
 
 
 def along_function(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
-    """Values (n,) of what an unknown function depends on, and of its terms there.
+    """Values (n,) of what an unknown function depends on, and of its bells there.
 
     Returns:
         (n,), and (n, n_terms) with coefficients of one.
     """
     found = NAME.fullmatch(effect.name)
     assert found is not None
-    z = np.linspace(float(found["low"]), float(found["high"]), N_SAMPLES)
-    # The effort, by which a loss is multiplied, is minus one; of a difference the
-    # second is zero.
-    first, *second = found["z"].split(" - ")
-    names = dict.fromkeys(effect.names, -1.0) | dict.fromkeys(second, 0.0) | {first: z}
-    return z, np.stack([evaluate(one.body, names, NUMPY) for one in effect.term], 1)
+    bells = _Bells.of(found)
+    return bells.z, bells.left[:, bells.kept]
+
+
+@dataclass(frozen=True, eq=False)
+class _Bells:
+    """Bells along a range, each less the line that the model has."""
+
+    n: int
+    low: float
+    high: float
+    has_line: list[bool]  # whether a constant is left out, and a slope
+    z: np.ndarray = field(init=False)  # (N_SAMPLES,) along the range
+    centres: np.ndarray = field(init=False)  # (n,)
+    straight: np.ndarray = field(init=False)  # (n, 2) constant and slope of each line
+    left: np.ndarray = field(init=False)  # (N_SAMPLES, n) the bells less their lines
+    kept: np.ndarray = field(init=False)  # places of those that are independent
+
+    @classmethod
+    def of(cls, found: re.Match[str]) -> "_Bells":
+        """Of a name.
+
+        Raises:
+            ModelError: too few or too many, or no range.
+        """
+        n, low, high = int(found["n"]), float(found["low"]), float(found["high"])
+        is_range = high - low > LEAST_RANGE * max(abs(low), abs(high))
+        if not (is_range and np.isfinite(high - low)) or not (
+            FEWEST_BELLS <= n <= MOST_BELLS
+        ):
+            raise ModelError(
+                f"effect {found[0]!r} has {n} bells from {low:g} to {high:g}; expected "
+                f"{FEWEST_BELLS} to {MOST_BELLS}, along a range that increases."
+            )
+        has_line = next(known for known, text in LESS.items() if text == found["less"])
+        return cls(n, low, high, list(has_line))
+
+    def __post_init__(self) -> None:
+        from scipy.linalg import qr  # what listing effects does not need
+
+        z = np.linspace(self.low, self.high, N_SAMPLES)
+        centres = np.linspace(self.low, self.high, self.n)
+        values = np.exp(-(((z[:, None] - centres) / self.step) ** 2))
+        line = np.stack([np.ones(N_SAMPLES), z], axis=1)[:, self.has_line]
+        straight = np.zeros((self.n, 2))
+        straight[:, self.has_line] = np.linalg.lstsq(line, values, rcond=None)[0].T
+        left = values - line @ straight[:, self.has_line].T
+        # Each line that is taken away leaves one bell less that is independent.
+        _, order = qr(left, mode="r", pivoting=True)
+        kept = np.sort(order[: self.n - sum(self.has_line)])
+        pairs = zip(
+            ("z", "centres", "straight", "left", "kept"),
+            (z, centres, straight, left, kept),
+            strict=True,
+        )
+        for name, value in pairs:
+            object.__setattr__(self, name, value)
+
+    @property
+    def step(self) -> float:
+        return (self.high - self.low) / (self.n - 1)
+
+    def shape(self, k: int, z: str, variable: str) -> str:
+        """A bell of a quantity, less its line, as a formula."""
+        constant, slope = self.straight[k].tolist()
+        bell = f"exp(-(({z}{_less(self.centres[k])})/{self.step:.10g})**2)"
+        line = f"{_less(slope)}*{variable}" if slope else ""
+        return f"{bell}{_less(constant)}{line}"
 
 
 @dataclass(frozen=True)
@@ -156,8 +233,16 @@ class _Place:
 
     model: BaseModel
     equation: str
-    z: str  # what it depends on
-    kind: str  # "f", or "r" of a loss
+    says: Mapping[str, Any] | re.Match[str]  # its "kind", "f" or "r" of a loss; "z"
+
+    @property
+    def kind(self) -> str:
+        return str(self.says["kind"])
+
+    @property
+    def z(self) -> str:
+        """What it depends on."""
+        return str(self.says["z"])
 
     @property
     def called(self) -> str:
@@ -168,9 +253,14 @@ class _Place:
         return f"unknown {lacking} {self.kind}({self.z})"
 
     @property
+    def words(self) -> str:
+        """What it depends on, as a part of a name."""
+        return self.z.replace(" - ", "_")
+
+    @property
     def coefficient(self) -> str:
-        words = f"{self.kind} {self.z} on {self.equation}"
-        return words.replace(" - ", "_").replace(" ", "_")
+        at = place_of("F", self.equation).removeprefix("F_")
+        return f"{self.kind}_{self.words}_on_{at}"
 
     @property
     def variable(self) -> str:
@@ -182,10 +272,20 @@ class _Place:
             return shape
         parts = direction_parts(self.equation, tuple(self.model.states))
         efforts = {part.state: effort_of(self.model, part.state) for part in parts}
-        return f"-({shape})*{summed(parts, efforts)}"
+        return f"-{summed(parts, efforts)}*({shape})"
+
+    def is_known(self, shape: str) -> bool:
+        """Whether the model's parameters can do that already."""
+        term = Term(self.body(shape), Parameter(), name="shape_in_question")
+        return is_spanned(self.model, self.effect("in question", term))
 
     def effect(self, name: str, *terms: Term) -> Effect:
         return Effect(name, "F", self.equation, Dictionary(terms), {}, self.called)
+
+    def named(self, name: str) -> Effect:
+        effect = function_named(self.model, name, self.equation)
+        assert effect is not None
+        return effect
 
     def formula(self, name: str, formula: str) -> Effect:
         """A formula times a coefficient; its other names are parameters."""
@@ -195,9 +295,13 @@ class _Place:
                 rounded = body.format(z=self.variable)
         known = self.model.variables.of_slot("F").union(self.model.names_in_formulas)
         inner = {}
-        for key in sorted(names_of(formula).difference(known - INNER.keys())):
-            shares = INNER.get(key)
-            inner[key] = Parameter(guess=Tried(self.z, shares) if shares else None)
+        for key in sorted(names_of(formula).difference(known)):
+            if key in INNER:
+                least = 0.0 if key == "width" else -np.inf
+                tried = Tried(self.z, INNER[key])
+                inner[key] = Parameter(lower=least, guess=tried)
+            elif not key.startswith(("dH_d", "dF_d")):
+                inner[key] = Parameter(1.0)
         if rounded != formula:
             width = Share(self.z, CORNER_SHARE, (0.5,) * 6)
             inner["corner"] = Parameter(lower=0.0, fixed=True, guess=width)
@@ -206,39 +310,21 @@ class _Place:
 
     def wave(self, name: str) -> Effect:
         """What repeats along a position, such as the cogging of a motor."""
-        omega = f"omega_{self.z}"
+        omega = f"omega_{self.words}"
         inner = {omega: Parameter(lower=0.0, guess=Scan(self.z))}
-        shapes = (f"sin({omega}*{self.z})", f"cos({omega}*{self.z})")
-        return self.effect(name, *(Term(one, Parameter(), inner) for one in shapes))
-
-    def bells(self, name: str, n: int, along: Range) -> Effect:
-        """A sum of n bells, each less the line that the model has."""
-        from scipy.linalg import qr  # what listing effects does not need
-
-        centres = np.linspace(*along, n)
-        step = float(centres[1] - centres[0])
-        z = np.linspace(*along, N_SAMPLES)
-        values = np.exp(-(((z[:, None] - centres) / step) ** 2))
-        has_line = []
-        for shape in ("1", self.z):
-            term = Term(self.body(shape), Parameter(), name="shape_in_question")
-            has_line.append(is_redundant(self.model, self.effect("in question", term)))
-        line = np.stack([np.ones(N_SAMPLES), z], axis=1)[:, has_line]
-        straight = np.zeros((n, 2))
-        straight[:, has_line] = np.linalg.lstsq(line, values, rcond=None)[0].T
-        # Each line that is taken away leaves one bell less that is independent.
-        left = values - line @ straight[:, has_line].T
-        _, order = qr(left, mode="r", pivoting=True)
-        kept = np.sort(order[: n - sum(has_line)])
         terms = []
-        for number, k in enumerate(kept.tolist()):
-            shape = f"exp(-(({self.z}{_less(centres[k])})/{step:.10g})**2)"
-            constant, slope = straight[k].tolist()
-            shape += _less(constant) + (
-                f"{_less(slope)}*{self.variable}" if slope else ""
-            )
-            body = self.body(shape)
-            terms.append(Term(body, Parameter(), name=f"{self.coefficient}_{number}"))
+        for part in ("sin", "cos"):
+            body = self.body(f"{part}({omega}*{self.variable})")
+            terms.append(Term(body, Parameter(), inner))
+        return self.effect(name, *terms)
+
+    def bells(self, name: str, bells: _Bells) -> Effect:
+        """The sum of some bells."""
+        terms = []
+        for number, k in enumerate(bells.kept.tolist()):
+            body = self.body(bells.shape(k, self.z, self.variable))
+            called = f"{self.coefficient}_bell_{number}"
+            terms.append(Term(body, Parameter(), name=called))
         return self.effect(name, *terms)
 
 
@@ -255,9 +341,12 @@ def _places(model: BaseModel) -> Iterator[_Place]:
         x = model.states[row]
         for z in (*known, *model.inputs):
             # Of its own state a function is one of its effort.
-            yield _Place(model, x, effort_of(model, x) if z == x else z, "f")
+            of = effort_of(model, x) if z == x else z
+            yield _Place(model, x, {"kind": "f", "z": of})
             if z != x:
-                yield _Place(model, x, z, "r")
+                yield _Place(model, x, {"kind": "r", "z": z})
     pairs = position_of_momentum(model)
     for p1, p2 in combinations(pairs, 2) if model.has_energy else ():
-        yield _Place(model, f"{p1} - {p2}", f"{pairs[p1]} - {pairs[p2]}", "f")
+        if kind_of(model, p1) == kind_of(model, p2):
+            says = {"kind": "f", "z": f"{pairs[p1]} - {pairs[p2]}"}
+            yield _Place(model, f"{p1} - {p2}", says)

@@ -16,8 +16,11 @@ NOTHING_LEFT = 1e-8
 
 def is_redundant(model: BaseModel, effect: Effect) -> bool:
     """Whether the model can do already what the effect does."""
-    if stands_in(model, effect):
-        return True
+    return stands_in(model, effect) or is_spanned(model, effect)
+
+
+def is_spanned(model: BaseModel, effect: Effect) -> bool:
+    """Whether the model's free parameters can do what the effect does."""
     if not model.free or is_scanned(effect):
         return False
     # Whether its slopes are a sum of the slopes of the model's parameters.
@@ -37,7 +40,7 @@ def stands_in(model: BaseModel, effect: Effect) -> bool:
     for term in effect.term:
         if term.body in bodies or term.name in model.entries:
             return True
-    return not set(effect.memory).isdisjoint(model.states)
+    return not set(effect.memory).isdisjoint((*model.states, *model.inputs))
 
 
 def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:

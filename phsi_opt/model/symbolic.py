@@ -230,7 +230,7 @@ def model_summary(model: BaseModel) -> Summary:
 
 
 class Bell(NamedTuple):
-    """What the name of a bell's coefficient says, such as r_q_on_p_3."""
+    """What the name of a bell's coefficient says, such as r_q_on_p_bell_3."""
 
     kind: str  # "f", or "r" of a loss
     z: str  # what the function depends on
@@ -240,10 +240,9 @@ class Bell(NamedTuple):
     @classmethod
     def of(cls, name: str) -> "Bell | None":
         """Of a name; None: it is none (`model.functions`)."""
-        function, _, number = name.rpartition("_")
+        function, is_bell, _ = name.partition("_bell_")
         kind, _, rest = function.partition("_")
-        z, on, x = rest.partition("_on_")
-        is_bell = kind in ("f", "r") and on and x and number.isdigit()
+        z, _, x = rest.partition("_on_")
         return cls(kind, z, x, function) if is_bell else None
 
 
@@ -261,7 +260,7 @@ def dictionary_rows(
             continue
         function = f"{bell.kind}_{bell.x}({bell.z})"
         if function not in bells:
-            effort = placed.term.body.rpartition("*")[2]
+            effort = placed.term.body[1:].partition("*(")[0]
             terms.append(f"-{function}*{effort}" if bell.kind == "r" else function)
         bells.setdefault(function, []).append(placed.term.name)
     rows = []

@@ -128,11 +128,12 @@ def _with_named_functions(
         for term in dictionary:
             one = term
             if bell := Bell.of(term.name):
-                body = bell.function
-                named[body] = bell
+                name = f"{bell.function}_bells"  # a formula may have the plain one
+                named[name] = bell
+                body = name
                 if bell.kind == "r":
-                    body = f"-{body}*{term.body.rpartition('*')[2]}"
-                one = Term(body, None, {bell.function: Parameter(1.0)})
+                    body = f"-{term.body[1:].partition('*(')[0]}*{name}"
+                one = Term(body, None, {name: Parameter(1.0)})
             terms[one.body] = one
         forces[equation] = Dictionary(tuple(terms.values()))
     return (replace(model, F=forces) if named else model), named

@@ -13,7 +13,7 @@ import numpy as np
 from phsi_opt.initialization.relative_guesses import corner_widths, intervals_at_rest
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.model.structure import position_of_momentum
+from phsi_opt.model.structure import effort_of, position_of_momentum
 from phsi_opt.optimization.bounded_step import bounded_least_squares
 from phsi_opt.screening.linearized_record import Change, LinearizedRecord
 from phsi_opt.statistics import TINY
@@ -166,12 +166,16 @@ class Sensitivities:
         linearized, model = self.linearized, self.trial.model
         equation = self.trial.effect.equation
         found = np.zeros(self._shape)
+        effort = ""  # of a momentum
+        if equation in position_of_momentum(linearized.model):
+            effort = effort_of(linearized.model, equation)
         # Widths of the effect's own corner, and the formula that is rounded.
         widths = []
         for name, guess in corner_widths(model).items():
-            if name not in linearized.model.entries:
+            is_own = name not in linearized.model.entries
+            if is_own and guess.of == effort:
                 widths.append((name, guess.of))
-        if widths and equation in position_of_momentum(linearized.model):
+        if widths:
             name, of = widths[0]
             width = model.values[name]
             still = intervals_at_rest(model, linearized.grid, self.states, of, width)
