@@ -48,7 +48,7 @@ from phsi_opt.diagnosis.refit import (
 from phsi_opt.diagnosis.search import Search
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect, is_wave
-from phsi_opt.model.functions import is_function
+from phsi_opt.model.functions import is_function, is_unknown
 from phsi_opt.presentation.numbers import enumerated
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -127,6 +127,14 @@ class _Judge:
             functions = ranked_functions(self.base, self.ranking, self.functions)
             self.rivals = [one for one in functions.candidates if not one.lost]
             if self.functions:
+                # A function of many numbers bends to the error of a model, too.
+                law = -np.inf if single is None else single.log_evidence
+                functions.candidates = [
+                    one
+                    for one in functions.candidates
+                    if not is_function(one.effect)
+                    or law < MOST_OF_IT * one.log_evidence
+                ]
                 self.ranking.join(functions)
                 single = self.single()
         several = None
@@ -405,6 +413,9 @@ class _Judge:
         for place in places[: MOST_REFITTED - 1]:
             self.refit(place, thorough=False)
         members = [self.candidates[place] for place in places]
+        if not is_unknown(self.candidates[0].effect):
+            # That a function may be a law says nothing.
+            members = [one for one in members if not is_unknown(one.effect)]
         return [one.effect for one in members if not one.lost and not one.share <= 0]
 
     def not_named(self, single: _Proposal, doubt: str) -> Diagnosis:

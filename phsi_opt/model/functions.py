@@ -136,11 +136,20 @@ def formulas_like(model: BaseModel, bells: Effect) -> Iterator[Effect]:
     if is_far or not names.isdisjoint((*INNER, "corner")):
         return
     top = f"{max(abs(along.low), abs(along.high)):g}"
+    # A line of its own effort, or of a position, is a law of the catalogue.
+    has_law = place.kind == "f" and place.z not in model.inputs
     for shape in SHAPES:
+        if has_law and shape == "{z}":
+            continue
         formula = shape.format(z=place.variable, top=top)
         effect = place.named(f"{place.called} like c*{formula}")
         if not is_spanned(model, effect):
             yield effect
+
+
+def is_unknown(effect: Effect) -> bool:
+    """Whether an effect is an unknown function, or a formula that it may be."""
+    return NAME.fullmatch(effect.name) is not None
 
 
 def is_function(effect: Effect) -> bool:
