@@ -179,6 +179,24 @@ def test_a_function_and_a_formula_of_one_quantity_are_told_apart() -> None:
     assert "a sum of bells" not in str(rooms)
 
 
+def test_a_function_that_a_model_has_is_proposed_no_more() -> None:
+    def proposed(model: ph.Model) -> set[str]:
+        found = list(unknown_functions(model, lambda _: (-1.0, 2.0)))
+        return {one.family for one in found}
+
+    all_of_them = proposed(spring())
+    for name in ("unknown loss r(q) like c*abs(q)", BELLS):
+        assert all_of_them - proposed(spring().add(name, "p")) == {"unknown loss r(q)"}
+    repeats = "unknown force f(q) that repeats"
+    larger = spring().add(repeats, "p")
+    (bells, *_) = [
+        one
+        for one in unknown_functions(larger, lambda _: (-1.0, 2.0))
+        if one.family == "unknown force f(q)"
+    ]
+    assert repeats not in [one.name for one in formulas_like(larger, bells)]
+
+
 def test_what_does_not_change_has_no_function() -> None:
     still = (300.0, 300.00000000000006)
     assert list(unknown_functions(spring(), lambda _: still)) == []

@@ -30,7 +30,7 @@ from phsi_opt.model.directions import direction_parts, normal_direction, summed
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
-from phsi_opt.model.redundancy import is_spanned
+from phsi_opt.model.redundancy import is_spanned, stands_in
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
     WORDS,
@@ -114,6 +114,9 @@ def unknown_functions(
         range_of: the least and the largest value of a quantity.
     """
     for place in _places(model):
+        known = (place.coefficient, f"{place.coefficient}_bell_0")
+        if not model.entries.keys().isdisjoint(known):
+            continue  # the model has that function, in one way or the other
         low, high = range_of(place.z)
         if high - low > LEAST_RANGE * max(abs(low), abs(high)):
             less = LESS[place.is_known("1"), place.is_known(place.z)]
@@ -128,7 +131,9 @@ def formulas_like(model: BaseModel, bells: Effect) -> Iterator[Effect]:
     assert found is not None
     place = _Place(model, bells.equation, found)
     if place.kind == "f" and place.z in model.states and place.z != place.equation:
-        yield place.named(f"{place.called} that repeats")
+        wave = place.named(f"{place.called} that repeats")
+        if not stands_in(model, wave):
+            yield wave
     along = _Bells.of(found)
     names = model.variables.of_slot("F").union(model.names_in_formulas)
     spread = along.high - along.low
