@@ -18,6 +18,7 @@ from phsi_opt.model.functions import (
     unknown_functions,
 )
 from phsi_opt.model.parameter_units import parameter_units
+from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.model.typeset import typeset_equations
 from phsi_opt.screening.effect_size import fitted_size
 
@@ -177,6 +178,11 @@ def test_a_function_and_a_formula_of_one_quantity_are_told_apart() -> None:
     rooms = ph.FirstOrder(["T_1"], {"T_1": "P - a*T_1"}, inputs=["P"], kind="thermal")
     rooms = rooms.add("unknown heat input f(P) like c*P**3", "T_1")
     assert "a sum of bells" not in str(rooms)
+    # Nor does a name of the user's own.
+    tone = ph.Effect(
+        "tone", "F", "p", Dictionary((Term("t", ph.Parameter(), name="church_bell_1"),))
+    )
+    assert "a sum of bells" not in str(spring().add(tone))
 
 
 def test_a_function_that_a_model_has_is_proposed_no_more() -> None:

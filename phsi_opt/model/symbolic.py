@@ -243,7 +243,9 @@ class Bell(NamedTuple):
         function, is_bell, _ = name.partition("_bell_")
         kind, _, rest = function.partition("_")
         z, _, x = rest.partition("_on_")
-        return cls(kind, z, x, function) if is_bell else None
+        return (
+            cls(kind, z, x, function) if is_bell and x and kind in ("f", "r") else None
+        )
 
 
 def dictionary_rows(
