@@ -94,9 +94,14 @@ def as_list(value: Any) -> Any:
     return list(value) if is_listed else value
 
 
+@cache
+def _kind_and_parts(hint: Any) -> tuple[Any, tuple[Any, ...]]:
+    return get_origin(hint) or hint, get_args(hint)
+
+
 def is_of(value: Any, hint: Any) -> bool:
     """Whether a value, with all that it holds, is of the type of an annotation."""
-    kind, parts = get_origin(hint) or hint, get_args(hint)
+    kind, parts = _kind_and_parts(hint)
     if kind in (Union, UnionType):
         return any(map(is_of, repeat(value), parts))
     if kind in ACCEPTED:

@@ -53,6 +53,7 @@ EXPLAINED_IF_NAMED = 0.97
 
 # Share of what the likeliest effect so far was expected to gain, and has gained, below
 # which no other is weighed: gains that were expected and weighed differ by up to three.
+# Share of the likeliest model's evidence below which a search enlarges no model.
 FAR_BEHIND = 0.2
 # Effects that are weighed, at most; of one class that are re-fitted.
 MOST_WEIGHED = 12

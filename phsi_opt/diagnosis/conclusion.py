@@ -94,10 +94,12 @@ class _Proposal:
     worth: Mapping[str, float] = field(default_factory=dict)
     alike: Mapping[str, Sequence[Effect]] = field(default_factory=dict)
 
-    @property
-    def has_function(self) -> bool:
-        """Whether one of them is an unknown function."""
-        return any(map(is_function, self.effects))
+    def is_preferred_to(self, single: "_Proposal | None") -> bool:
+        """Whether several effects are asked before one."""
+        if self.is_complete or single is None:
+            return True
+        has_function = is_unknown(single.effects[0])
+        return has_function and self.log_evidence > single.log_evidence
 
     @property
     def of_force(self) -> float:
@@ -123,27 +125,17 @@ class _Judge:
                 return self.without_effect(Verdict.NOTHING_MISSING)
             rank_again(self.base, self.ranking, self.effects)
             single = self.single()
-        if single is None or not single.is_complete:
-            functions = ranked_functions(self.base, self.ranking, self.functions)
-            self.rivals = [one for one in functions.candidates if not one.lost]
-            if self.functions:
-                # A function of many numbers bends to the error of a model, too.
-                law = -np.inf if single is None else single.log_evidence
-                functions.candidates = [
-                    one
-                    for one in functions.candidates
-                    if not is_function(one.effect)
-                    or law < MOST_OF_IT * one.log_evidence
-                ]
-                self.ranking.join(functions)
-                single = self.single()
         several = None
-        # What a function of many numbers explains a few laws may explain better.
-        if single is None or not single.is_complete or single.has_function:
+        if single is None or not single.is_complete:
             several = self.several(single)
-        # As long as a force remains, a further law may stand in for what is missing.
+        laws = [one for one in (single, several) if one is not None]
+        if not any(one.is_complete for one in laws):
+            self.weigh_functions(laws)
+            single = self.single()
+        # As long as a force remains, a further law may stand in for what is missing; so
+        # may a function for several laws.
         ordered = [single, several]
-        if several is not None and several.is_complete:
+        if several is not None and several.is_preferred_to(single):
             ordered = [several, single]
         doubts = {}
         for proposal in filter(None, ordered):
@@ -153,6 +145,21 @@ class _Judge:
         if single is None:
             return self.without_effect(Verdict.UNEXPLAINED)
         return self.not_named(single, doubts[single])
+
+    def weigh_functions(self, laws: Sequence[_Proposal]) -> None:
+        """Unknown functions, as candidates or to be compared with the laws."""
+        functions = ranked_functions(self.base, self.ranking, self.functions)
+        self.rivals = [one for one in functions.candidates if not one.lost]
+        if not self.functions:
+            return
+        # A function of many numbers bends to the error of a model, too.
+        highest = max((one.log_evidence for one in laws), default=-np.inf)
+        functions.candidates = [
+            one
+            for one in functions.candidates
+            if not is_function(one.effect) or highest < MOST_OF_IT * one.log_evidence
+        ]
+        self.ranking.join(functions)
 
     @property
     def candidates(self) -> list[Candidate]:

@@ -16,7 +16,7 @@ from functools import reduce
 
 import numpy as np
 
-from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
+from phsi_opt.criteria import DECISIVE_EVIDENCE, FAR_BEHIND, STRONG_EVIDENCE
 from phsi_opt.diagnosis.candidate import at_limit
 from phsi_opt.diagnosis.ranking import Ranking, force_left, screened_beside, weighed_of
 from phsi_opt.diagnosis.refit import DiagnosedModel
@@ -122,11 +122,11 @@ class Search:
                 # No further effect can gain; another in place of one of them may.
                 models = rests
 
-    @staticmethod
-    def _may_gain(one: Combination, enlarged: Collection[frozenset[str]]) -> bool:
-        """Whether a model is likelier than the base, and may have a further effect."""
+    def _may_gain(self, one: Combination, enlarged: Collection[frozenset[str]]) -> bool:
+        """Whether a model may have a further effect, and is not far behind the best."""
         is_new = one.key not in enlarged and len(one.effects) < MOST_EFFECTS
-        return is_new and one.log_evidence > 0
+        highest = self.in_order()[0].log_evidence
+        return is_new and one.log_evidence > FAR_BEHIND * max(highest, 0.0)
 
     def _is_complete(self, one: Combination) -> bool:
         """Whether a model is as likely without any force."""
