@@ -289,6 +289,8 @@ class _Judge:
         is_small = is_failing(self.base.judged) and share < LEAST_FINDING
         if proposal.is_complete and not is_small:
             return ""
+        if len(proposal.effects) == 1 and is_wave(proposal.effects[0]):
+            return "more is missing, and every function contains such waves"
         is_large = proposal.of_force >= MOST_OF_IT or share > LEAST_ERROR_EXPLAINED
         if is_small or not is_large:
             return (
@@ -301,7 +303,7 @@ class _Judge:
         """An unknown function that is far likelier; empty where there is none."""
         evidence = [one.log_evidence for one in self.rivals]
         highest = max(evidence, default=-np.inf)
-        # Every function contains waves: beside them one need not be far likelier.
+        # Every function contains waves: it need not be far likelier than these.
         has_wave = any(map(is_wave, proposal.effects))
         least = highest if has_wave else MOST_OF_IT * highest
         if not proposal.log_evidence < least:
