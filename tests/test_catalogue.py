@@ -17,7 +17,7 @@ from phsi_opt.model.catalogue import (
     every_name,
 )
 from phsi_opt.model.kinds import KINDS
-from phsi_opt.model.laws import is_second_storage, laws_told, said_of
+from phsi_opt.model.laws import is_second_storage, law_of, laws_told
 
 ROOT = Path(__file__).resolve().parents[1]
 EVERY_KIND: tuple[Any, ...] = ({}, *KINDS)
@@ -261,7 +261,7 @@ def test_every_law_says_what_it_adds_and_no_other_name_is_that_of_a_law() -> Non
     assert not [name for name, adds in told.items() if not adds]
     names = set(told)
     for name in told:
-        assert not names & set(said_of(name).others)
+        assert not names & set(law_of(name).others)
     adds = {str(effect): one for effect, one in effects_told(pushed())}
     assert adds["quadratic drag on p"] == "-c |dH_dp| dH_dp"
     assert adds["input delay on p"] == "dF/du (u(t - delay) - u)"

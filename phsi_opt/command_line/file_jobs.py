@@ -19,7 +19,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
 from phsi_opt.initialization.relative_guesses import fast_motion
 from phsi_opt.model.catalogue import catalogue, effects_told
-from phsi_opt.model.laws import laws_told, said_of
+from phsi_opt.model.laws import law_of, laws_told
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.presentation.numbers import LINE_WIDTH
@@ -232,7 +232,7 @@ def _effects_told(file: StudyFile, model: Model) -> Iterator[dict[str, Any]]:
 
 
 def _told(name: str, adds: str, units: Mapping[str, str]) -> dict[str, Any]:
-    others = list(said_of(name).others)
+    others = list(law_of(name).others)
     return {"effect": name, "adds": adds, "units": units, "also_called": others}
 
 

@@ -18,7 +18,7 @@ from phsi_opt.diagnosis.refit import DiagnosedModel, fitted_by_steps
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.functions import formulas_like, unknown_functions
-from phsi_opt.model.laws import said_of
+from phsi_opt.model.laws import law_of
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
@@ -47,7 +47,7 @@ class Ranking:
     @property
     def odds(self) -> float:
         """Of all effects that were asked, together."""
-        known = (said_of(one.effect.name).odds for one in self.screened.values())
+        known = (law_of(one.effect.name).odds for one in self.screened.values())
         return self.before + sum(known)
 
     def price(self, one: Screened) -> float:
@@ -55,7 +55,7 @@ class Ranking:
 
         Of the effects those count more that are met more often (`model.laws`).
         """
-        own = said_of(one.effect.name).odds
+        own = law_of(one.effect.name).odds
         return float(np.log(one.n_tried * self.odds / own))
 
     def take(self, base: DiagnosedModel, one: Screened, weighed: Weighed) -> Candidate:
@@ -247,7 +247,7 @@ def ranked_functions(
         functions += alike
     # The leaders come from all that were asked, and after the effects.
     n_others = len(bells) - sum(map(len, leaders.values()))
-    before = ranking.odds + n_others * said_of("unknown").odds
+    before = ranking.odds + n_others * law_of("unknown").odds
     further = _ranked_beside(base, ranking.record, functions, before)
     if are_candidates:
         rank_again(base, further, functions)

@@ -19,22 +19,7 @@ from phsi_opt.model.effect import Effect, EffectList
 from phsi_opt.model.expressions import divisors, names_of
 from phsi_opt.model.functions import NAME, function_named
 from phsi_opt.model.kinds import KINDS, RADIANS, ZEROS
-from phsi_opt.model.laws import (
-    BETWEEN,
-    ENERGIES,
-    EXCHANGES,
-    FORCES,
-    HEAT_EXCHANGES,
-    INPUTS,
-    LASTING,
-    LOSSES,
-    OVERFLOWS,
-    SENSORS,
-    SPILLS,
-    STORAGES,
-    Law,
-    said_of,
-)
+from phsi_opt.model.laws import LAWS, STORAGES, Law, law_of
 from phsi_opt.model.parameter_units import drive_of, parameter_units, state_units
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.redundancy import is_redundant, stands_in
@@ -101,7 +86,7 @@ def effects_told(
             is_of_role = not law.roles or role in law.roles
             effect = law.effect(known, names) if is_of_role else None
             if effect is not None and not is_redundant(known, effect):
-                adds = said_of(effect.name).adds.format_map(names)
+                adds = law.adds.format_map(names)
                 over_inertia = f"/{names['inertia']}"
                 if effect.term.terms[-1].body.endswith(over_inertia):
                     adds = (f"({adds})" if " + " in adds else adds) + over_inertia
@@ -162,7 +147,7 @@ def _called(name: str, equation: str | None, effects: list[Effect]) -> list[Effe
     asked = name.lower()
     there = [one for one in effects if equation in (None, one.equation)]
     named = [one for one in there if one.name.lower() == asked]
-    return named or [one for one in there if asked in said_of(one.name).others]
+    return named or [one for one in there if asked in law_of(one.name).others]
 
 
 def _not_in_catalogue(
@@ -191,7 +176,7 @@ MISSPELT = 0.85  # likeness of two words of which one is misspelt
 def _hint(name: str, effects: Sequence[Effect]) -> str:
     """Effects of a like name, or with a word in common in one of their names."""
     names = {
-        one.name: " ".join((one.name, *said_of(one.name).others)) for one in effects
+        one.name: " ".join((one.name, *law_of(one.name).others)) for one in effects
     }
     alike = get_close_matches(name.lower(), names, 1, MISSPELT)
     asked = set(name.lower().split())
@@ -266,41 +251,41 @@ def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) ->
 
 def _places(
     model: BaseModel, units: Mapping[str, str]
-) -> Iterator[tuple[tuple[Law, ...], dict[str, str]]]:
+) -> Iterator[tuple[Sequence[Law], dict[str, str]]]:
     """Laws that may be offered, and their names, place by place."""
     for row in forced_rows(model):
         names = _names(model, model.states[row], units)
-        yield (*LOSSES, *FORCES), names
+        yield (*LAWS["losses"], *LAWS["forces"]), names
         for u in model.inputs:
-            yield INPUTS, names | _names_of_input(model, u, names)
-        yield (*ENERGIES, *LASTING), names
+            yield LAWS["inputs"], names | _names_of_input(model, u, names)
+        yield (*LAWS["energies"], *LAWS["lasting"]), names
     for source, x in permutations(storage_states(model), 2):
         names = _names_of_source(model, source, x)
-        yield OVERFLOWS, names
+        yield LAWS["overflows"], names
         ratio = {"along": f"{x} - ratio*{source}", "ratio": "ratio", "inertia": ""}
-        yield SPILLS, names | ratio
+        yield LAWS["spills"], names | ratio
     for source, x in permutations(model.states, 2):
         if role_of(model, source) is Role.HEAT:
-            yield HEAT_EXCHANGES, _names_of_source(model, source, x)
+            yield LAWS["heat exchanges"], _names_of_source(model, source, x)
     for source, x in product(model.inputs, model.states):
         unit = units.get(source, "")
         if not unit or are_alike(unit, "K"):
-            yield HEAT_EXCHANGES, _names_of_source(model, source, x)
+            yield LAWS["heat exchanges"], _names_of_source(model, source, x)
     for (p1, q1), (p2, q2) in combinations(position_of_momentum(model).items(), 2):
         # Without an energy the masses of the two may be anything.
         if kind_of(model, p1) == kind_of(model, p2):
-            yield ENERGIES, {"x": p1, "q1": q1, "q2": q2}
+            yield LAWS["energies"], {"x": p1, "q1": q1, "q2": q2}
     forced = [model.states[row] for row in forced_rows(model)]
     for x1, x2 in combinations(forced, 2):
         if role_of(model, x1) is role_of(model, x2):
             names = _names_between(model, x1, x2, units)
-            yield BETWEEN, names
+            yield LAWS["between"], names
             if model.has_energy:
                 along = f"dH_d{x2}*{x1} - dH_d{x1}*{x2}"
-                yield EXCHANGES, names | {"along": along}
+                yield LAWS["exchanges"], names | {"along": along}
     for x in model.states:
         if x not in model.memory:
-            yield SENSORS, {"x": x}
+            yield LAWS["sensors"], {"x": x}
 
 
 def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]:
