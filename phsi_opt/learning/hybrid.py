@@ -41,9 +41,9 @@ from phsi_opt.learning.hybrid_network import (
     NeuralForce,
     TrainedForce,
     TrainingSet,
+    cross_validated_ridge,
     train,
 )
-from phsi_opt.learning.network import cross_validated_ridge
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.optimization.ipopt import SolverSettings
@@ -58,9 +58,6 @@ from phsi_opt.writing import write_whole
 
 __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
 
-# By then the network has taken its part, and what is small is small beside it.
-FIRST_PRUNED_TURN = 2
-SETTLED = 1e-3  # relative change of a coefficient below which it does not move
 FORMAT = "phsi_opt hybrid 3"
 SIGNAL = "network_signal_"  # the inputs that stand for the force begin so
 STEP_SHARE = f"{SIGNAL}share"  # of the step
@@ -111,7 +108,9 @@ def hybrid(
     converged = False
     for turn in range(max_turns):
         before = (model, at_stages)
-        prune = pruning if turn >= FIRST_PRUNED_TURN else None
+        # By the third turn the network has taken its part, and what is small is small
+        # beside it.
+        prune = pruning if turn > 1 else None
         forced, inputs = problem.forced(*before)
         aligned = AlignedData(record, inputs)
         task = Task(forced, aligned, l1_weights(l1), prune, SolverSettings())
@@ -128,10 +127,8 @@ def hybrid(
         at_stages = trained.at(stages.stages)
         row = problem.changes(*before, model, at_stages)
         turns.append({"turn": turn + 1, **row})
-        converged = (
-            row["coefficient_change"] < SETTLED and row["force_change"] < 10 * SETTLED
-        )
-        if converged and turn > (FIRST_PRUNED_TURN if pruning else 0):
+        converged = row["coefficient_change"] < 1e-3 and row["force_change"] < 1e-2
+        if converged and turn > (2 if pruning else 0):
             break
     assert fit is not None
     return Hybrid(
