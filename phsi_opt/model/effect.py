@@ -133,8 +133,6 @@ def is_decay(effect: Effect) -> bool:
     body = effect.term.terms[-1].body
     names = names_of(body)
     own = sorted({x, f"dH_d{x}"} & names)
-    if effect.name.startswith("unknown "):  # a function, whatever it looks like
-        return False
     if effect.slot == "F":
         return bool(own) and not effect.memory and is_linear(body, own)
     return effect.slot == "R" and not names and x.isidentifier()

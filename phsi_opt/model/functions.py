@@ -16,10 +16,10 @@ number. All are known by their names:
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,10 +42,6 @@ from phsi_opt.model.structure import (
 )
 from phsi_opt.model.terms import Dictionary, Term
 
-N_BELLS = (6, 12)  # of a function that is wide, and of one with details
-FEWEST_BELLS, MOST_BELLS = 4, 30
-N_SAMPLES = 60  # along a function, where it is told
-LEAST_RANGE = 1e-6  # of a quantity, as a share of its size
 # Of sinh and tanh the coefficient is the value at the largest that the record has.
 SHAPES = (
     "sinh({z}/width)/sinh({top}/width)",
@@ -79,8 +75,6 @@ ROUNDED = {
     "max({z} - limit, 0)": "({z} - limit + sqrt(({z} - limit)**2 + corner**2))/2",
     "max(limit - {z}, 0)": "(limit - {z} + sqrt((limit - {z})**2 + corner**2))/2",
 }
-CORNER_SHARE = 0.05  # of the typical size of a quantity, within which it is rounded
-Range = tuple[float, float]
 
 
 def function_named(model: BaseModel, name: str, equation: str) -> Effect | None:
@@ -96,7 +90,8 @@ def function_named(model: BaseModel, name: str, equation: str) -> Effect | None:
     known = (*model.states, *model.inputs, *model.variables.efforts)
     for one in found["z"].split(" - "):
         require_known(one, known, f"effect {name!r}: {one!r} is unknown")
-    place = _Place(model, normal_direction(equation, model.states), found)
+    equation = normal_direction(equation, model.states)
+    place = _Place(model, equation, found["kind"], found["z"])
     if not name.startswith(f"{place.called} "):
         raise ModelError(f"effect {name!r} is called {place.called!r} in this model.")
     if found["formula"]:
@@ -105,7 +100,7 @@ def function_named(model: BaseModel, name: str, equation: str) -> Effect | None:
 
 
 def unknown_functions(
-    model: BaseModel, range_of: Callable[[str], Range]
+    model: BaseModel, range_of: Callable[[str], tuple[float, float]]
 ) -> Iterator[Effect]:
     """The functions that the equations of a model may lack, as bells.
 
@@ -118,9 +113,9 @@ def unknown_functions(
         if not model.entries.keys().isdisjoint(known):
             continue  # the model has that function, in one way or the other
         low, high = range_of(place.z)
-        if high - low > LEAST_RANGE * max(abs(low), abs(high)):
+        if _is_range(low, high):
             less = LESS[place.is_known("1"), place.is_known(place.z)]
-            for n in N_BELLS:
+            for n in (6, 12):  # for a function that is wide, and for one with details
                 of = f"of {n} bells from {low:.10g} to {high:.10g}{less}"
                 yield place.named(f"{place.called} {of}")
 
@@ -129,18 +124,17 @@ def formulas_like(model: BaseModel, bells: Effect) -> Iterator[Effect]:
     """Short formulas that an unknown function may be."""
     found = NAME.fullmatch(bells.name)
     assert found is not None
-    place = _Place(model, bells.equation, found)
+    place = _Place(model, bells.equation, found["kind"], found["z"])
     if place.kind == "f" and place.z in model.states and place.z != place.equation:
         wave = place.named(f"{place.called} that repeats")
         if not stands_in(model, wave):
             yield wave
-    along = _Bells.of(found)
+    low, high = float(found["low"]), float(found["high"])
     names = model.variables.of_slot("F").union(model.names_in_formulas)
-    spread = along.high - along.low
-    is_far = along.low > spread or along.high < -spread  # from zero
+    is_far = low > high - low or high < low - high  # from zero
     if is_far or not names.isdisjoint((*INNER, "corner")):
         return
-    top = f"{max(abs(along.low), abs(along.high)):g}"
+    top = f"{max(abs(low), abs(high)):g}"
     # A line of its own effort, or of a position, is a law of the catalogue.
     has_law = place.kind == "f" and place.z not in model.inputs
     for shape in SHAPES:
@@ -175,19 +169,15 @@ def along_function(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
     return bells.z, bells.left[:, bells.kept]
 
 
-@dataclass(frozen=True, eq=False)
-class _Bells:
+class _Bells(NamedTuple):
     """Bells along a range, each less the line that the model has."""
 
-    n: int
-    low: float
-    high: float
-    has_line: list[bool]  # whether a constant is left out, and a slope
-    z: np.ndarray = field(init=False)  # (N_SAMPLES,) along the range
-    centres: np.ndarray = field(init=False)  # (n,)
-    straight: np.ndarray = field(init=False)  # (n, 2) constant and slope of each line
-    left: np.ndarray = field(init=False)  # (N_SAMPLES, n) the bells less their lines
-    kept: np.ndarray = field(init=False)  # places of those that are independent
+    step: float  # from one centre to the next
+    centres: np.ndarray  # (n,)
+    straight: np.ndarray  # (n, 2) constant and slope of each line
+    z: np.ndarray  # (n_samples,) along the range
+    left: np.ndarray  # (n_samples, n) the bells less their lines
+    kept: list[int]  # places of those that are independent
 
     @classmethod
     def of(cls, found: re.Match[str]) -> "_Bells":
@@ -196,42 +186,28 @@ class _Bells:
         Raises:
             ModelError: too few or too many, or no range.
         """
-        n, low, high = int(found["n"]), float(found["low"]), float(found["high"])
-        is_range = high - low > LEAST_RANGE * max(abs(low), abs(high))
-        if not (is_range and np.isfinite(high - low)) or not (
-            FEWEST_BELLS <= n <= MOST_BELLS
-        ):
-            raise ModelError(
-                f"effect {found[0]!r} has {n} bells from {low:g} to {high:g}; expected "
-                f"{FEWEST_BELLS} to {MOST_BELLS}, along a range that increases."
-            )
-        has_line = next(known for known, text in LESS.items() if text == found["less"])
-        return cls(n, low, high, list(has_line))
-
-    def __post_init__(self) -> None:
         from scipy.linalg import qr  # what listing effects does not need
 
-        z = np.linspace(self.low, self.high, N_SAMPLES)
-        centres = np.linspace(self.low, self.high, self.n)
-        values = np.exp(-(((z[:, None] - centres) / self.step) ** 2))
-        line = np.stack([np.ones(N_SAMPLES), z], axis=1)[:, self.has_line]
-        straight = np.zeros((self.n, 2))
-        straight[:, self.has_line] = np.linalg.lstsq(line, values, rcond=None)[0].T
-        left = values - line @ straight[:, self.has_line].T
+        n, low, high = int(found["n"]), float(found["low"]), float(found["high"])
+        if not (4 <= n <= 30 and _is_range(low, high) and np.isfinite(high - low)):
+            raise ModelError(
+                f"effect {found[0]!r} has {n} bells from {low:g} to {high:g}; expected "
+                "4 to 30, along a range that increases."
+            )
+        has_line = next(known for known, text in LESS.items() if text == found["less"])
+        own = np.flatnonzero(has_line)  # a constant, and a slope
+        step = (high - low) / (n - 1)
+        z = np.linspace(low, high, 60)
+        centres = np.linspace(low, high, n)
+        values = np.exp(-(((z[:, None] - centres) / step) ** 2))
+        line = np.stack([np.ones(len(z)), z], axis=1)[:, own]
+        straight = np.zeros((n, 2))
+        straight[:, own] = np.linalg.lstsq(line, values, rcond=None)[0].T
+        left = values - line @ straight[:, own].T
         # Each line that is taken away leaves one bell less that is independent.
         _, order = qr(left, mode="r", pivoting=True)
-        kept = np.sort(order[: self.n - sum(self.has_line)])
-        pairs = zip(
-            ("z", "centres", "straight", "left", "kept"),
-            (z, centres, straight, left, kept),
-            strict=True,
-        )
-        for name, value in pairs:
-            object.__setattr__(self, name, value)
-
-    @property
-    def step(self) -> float:
-        return (self.high - self.low) / (self.n - 1)
+        kept = sorted(order[: n - len(own)].tolist())
+        return cls(step, centres, straight, z, left, kept)
 
     def shape(self, k: int, z: str, variable: str) -> str:
         """A bell of a quantity, less its line, as a formula."""
@@ -241,22 +217,19 @@ class _Bells:
         return f"{bell}{_less(constant)}{line}"
 
 
+def _is_range(low: float, high: float) -> bool:
+    """Whether a quantity changes by more than a millionth of its size."""
+    return high - low > 1e-6 * max(abs(low), abs(high))
+
+
 @dataclass(frozen=True)
 class _Place:
     """Where an unknown function may act, and of what."""
 
     model: BaseModel
     equation: str
-    says: Mapping[str, Any] | re.Match[str]  # its "kind", "f" or "r" of a loss; "z"
-
-    @property
-    def kind(self) -> str:
-        return str(self.says["kind"])
-
-    @property
-    def z(self) -> str:
-        """What it depends on."""
-        return str(self.says["z"])
+    kind: str  # "f", or "r" of a loss
+    z: str  # what it depends on
 
     @property
     def called(self) -> str:
@@ -317,7 +290,7 @@ class _Place:
             elif not key.startswith(("dH_d", "dF_d")):
                 inner[key] = Parameter(1.0)
         if rounded != formula:
-            width = Share(self.z, CORNER_SHARE, (0.5,) * 6)
+            width = Share(self.z, 0.05, (0.5,) * 6)
             inner["corner"] = Parameter(lower=0.0, fixed=True, guess=width)
         body = self.body(rounded)
         return self.effect(name, Term(body, Parameter(), inner, self.coefficient))
@@ -335,7 +308,7 @@ class _Place:
     def bells(self, name: str, bells: _Bells) -> Effect:
         """The sum of some bells."""
         terms = []
-        for number, k in enumerate(bells.kept.tolist()):
+        for number, k in enumerate(bells.kept):
             body = self.body(bells.shape(k, self.z, self.variable))
             called = f"{self.coefficient}_bell_{number}"
             terms.append(Term(body, Parameter(), name=called))
@@ -356,11 +329,10 @@ def _places(model: BaseModel) -> Iterator[_Place]:
         for z in (*known, *model.inputs):
             # Of its own state a function is one of its effort.
             of = effort_of(model, x) if z == x else z
-            yield _Place(model, x, {"kind": "f", "z": of})
+            yield _Place(model, x, "f", of)
             if z != x:
-                yield _Place(model, x, {"kind": "r", "z": z})
+                yield _Place(model, x, "r", z)
     pairs = position_of_momentum(model)
     for p1, p2 in combinations(pairs, 2) if model.has_energy else ():
         if kind_of(model, p1) == kind_of(model, p2):
-            says = {"kind": "f", "z": f"{pairs[p1]} - {pairs[p2]}"}
-            yield _Place(model, f"{p1} - {p2}", says)
+            yield _Place(model, f"{p1} - {p2}", "f", f"{pairs[p1]} - {pairs[p2]}")

@@ -9,7 +9,7 @@ import numpy as np
 from phsi_opt.criteria import SURE_DEVIATIONS
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect, is_decay, is_wave
-from phsi_opt.model.functions import along_function, is_function
+from phsi_opt.model.functions import along_function, is_function, is_unknown
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.presentation.numbers import estimate_text, number, time_constant_words
@@ -36,8 +36,9 @@ class Size:
         """As text; of a rate at which a state decays its time constant."""
         if is_function(effect):
             return f"reaches {self}"
-        known = (self.value, self.std_error, self.unit)
-        return (time_constant_words(*known) if is_decay(effect) else "") or str(self)
+        if is_unknown(effect) or not is_decay(effect):
+            return str(self)
+        return time_constant_words(self.value, self.std_error, self.unit) or str(self)
 
     @property
     def z(self) -> float:
