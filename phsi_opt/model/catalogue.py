@@ -170,15 +170,12 @@ def _not_in_catalogue(
     )
 
 
-MISSPELT = 0.85  # likeness of two words of which one is misspelt
-
-
 def _hint(name: str, effects: Sequence[Effect]) -> str:
     """Effects of a like name, or with a word in common in one of their names."""
     names = {
         one.name: " ".join((one.name, *law_of(one.name).others)) for one in effects
     }
-    alike = get_close_matches(name.lower(), names, 1, MISSPELT)
+    alike = get_close_matches(name.lower(), names, 1, 0.85)  # a misspelt name
     asked = set(name.lower().split())
     if not alike:
         alike = [known for known, words in names.items() if asked & set(words.split())]

@@ -73,16 +73,8 @@ HINTS = {
     "decimal literal": "Write a product with *, as in 2*q.",
     "never closed": "Close the bracket.",
 }
-# A formula is written by a person; a longer one is a mistake or an attack.
-MAX_CHARACTERS = 10_000
 # Beyond any law of physics, and short of what fills the memory as a whole number.
 MAX_EXPONENT = 64
-# Operations and functions inside one another; the walks below are recursive, with two
-# calls for each, and Python allows a thousand calls.
-MAX_DEPTH = 200
-# Of the whole numbers in a formula after it is multiplied out: SymPy keeps all digits,
-# and Python prints no more than 4300 of them.
-MAX_BITS = 14_000
 _shortened = partial(shortened, most=60)  # a formula, in a message
 
 
@@ -101,15 +93,16 @@ def parse(text: str) -> ast.expr:
             f"formula {shown(text)} is not text; expected an expression such as "
             "'k*q**2/2'."
         )
-    if len(text) > MAX_CHARACTERS:
+    if len(text) > 10_000:  # written by no person: a mistake or an attack
         raise ModelError(
             f"a formula of {len(text)} characters is too long "
-            f"(limit {MAX_CHARACTERS}); split it into terms."
+            "(limit 10000); split it into terms."
         )
     try:
         tree = ast.parse(text.strip(), mode="eval").body
         _check(tree, text)
-        if _n_bits(tree) > MAX_BITS:
+        # SymPy keeps all digits, and Python prints no more than 4300 of them.
+        if _n_bits(tree) > 14_000:
             raise ModelError(
                 f"the integers in formula {_shortened(text)!r} have too many digits "
                 "when powers are expanded; write decimal numbers, or lower powers."
@@ -128,7 +121,9 @@ def parse(text: str) -> ast.expr:
 
 
 def _check(node: ast.AST, text: str, depth: int = 0) -> None:
-    if depth > MAX_DEPTH:
+    # The walks are recursive, with two calls for each operation and function inside
+    # another one, and Python allows a thousand calls.
+    if depth > 200:
         raise RecursionError
     below: list[ast.expr] = []
     match node:

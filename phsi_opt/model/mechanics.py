@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 USUAL_INPUT = re.compile(r"u\d*")
 LIKE_VELOCITY = re.compile(r"v$|v_|dH_d|dF_d")
-MOST_EXPANDED = 200  # terms that a force is multiplied out to
 
 
 @typed
@@ -207,7 +206,7 @@ def _sums_of(
     fields: dict[frozenset[sp.Symbol], list[sp.Expr]] = {}  # by their parameters
     for k, text in enumerate(laws):
         law = sp.sympify(evaluate(text, symbols, SYMPY))
-        if n_expanded(law) <= MOST_EXPANDED:
+        if n_expanded(law) <= 200:  # else it is left as it is
             law = law.expand(power_exp=False, power_base=False, log=False)
         for term in sp.Add.make_args(law):
             loss = -term / velocities[k]

@@ -38,9 +38,6 @@ from phsi_opt.presentation.units import (
 
 WHOLE_ENERGY = "energy H"  # as the equations call it; no parameter has a blank
 MOMENTUM = "kg m/s"  # as people write it, not N s
-# A number beyond this one, or one that is no multiple of a quarter, may be a constant
-# of physics with a unit of its own, such as 9.81.
-LARGEST_PURE_NUMBER = 8
 # Rounding errors of powers, which are halves and quarters of whole numbers.
 POWER_ROUNDING = 1e-8
 
@@ -279,7 +276,9 @@ class Equations:
         return {f"effort {state}" if self._model.has_energy else state: 1.0}
 
     def _number(self, placed: PlacedTerm, number: float) -> "_Quantity":
-        is_simple = float(4 * number).is_integer() and 0 < number <= LARGEST_PURE_NUMBER
+        # A number beyond 8, or one that is no multiple of a quarter, may be a constant
+        # of physics with a unit of its own, such as 9.81.
+        is_simple = float(4 * number).is_integer() and 0 < number <= 8
         form: Form = {} if is_simple else self.unknown()
         if form and not self._may_hide:
             # What stands twice in an equation, such as a mass, is the same twice.

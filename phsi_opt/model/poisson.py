@@ -20,11 +20,7 @@ from phsi_opt.model.base import BaseModel
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.slots import EXCHANGE, PlacedTerm
 
-N_POINTS = 40  # random states, and more than a model has products
 ROUNDING = 1e-9  # relative, up to which identities hold
-PIVOT = 1e-6  # least weight of a product that a Casimir begins with
-HIGHEST_DEGREE = 4
-MOST_TOLD = 12  # states of a model whose Casimirs are printed with it
 
 
 @typed
@@ -53,7 +49,7 @@ def is_poisson(model: BaseModel) -> bool:
     """
     x, S = _structure(model)
     n = S.shape[0]
-    points = _points(x, S, N_POINTS)
+    points = _points(x, S)
     function = ca.Function("both", [x], [S, ca.jacobian(ca.vec(S), x)])
     for point in points:
         values, moved = map(np.array, function(point))
@@ -87,8 +83,7 @@ def casimirs(model: BaseModel, degree: int = 2) -> list[str]:
         ['x + 0.5*z']
     """
     require_count("degree", degree)
-    expected = f"{HIGHEST_DEGREE} or less"
-    require(degree <= HIGHEST_DEGREE, "degree", degree, expected)
+    require(degree <= 4, "degree", degree, "4 or less")
     x, S = _structure(model)
     factors: list[tuple[int, ...]] = []
     for power in range(1, degree + 1):
@@ -96,7 +91,7 @@ def casimirs(model: BaseModel, degree: int = 2) -> list[str]:
         products = [prod(x[k] for k in places) for places in factors]
         moved = ca.mtimes(S, ca.jacobian(ca.vertcat(*products), x).T)
         function = ca.Function("moved", [x], [moved])
-        points = _points(x, S, N_POINTS + len(factors))
+        points = _points(x, S, len(factors))
         rows = np.vstack([np.array(function(point)) for point in points])
         _, sizes, directions = np.linalg.svd(rows, full_matrices=False)
         weights = _reduced(directions[sizes <= ROUNDING * sizes.max()])
@@ -122,7 +117,9 @@ def structure_words(model: BaseModel) -> str:
         return ""
     with suppress(ModelError):
         holds = "holds" if is_poisson(model) else "does not hold"
-        conserved = casimirs(model) if model.n_states <= MOST_TOLD else []
+        conserved = (
+            casimirs(model) if model.n_states <= 12 else []
+        )  # else it takes long
         told = f"; S(x) conserves {', '.join(conserved)}" if conserved else ""
         return f"S(x): the Jacobi identity {holds}{told}"
     return ""
@@ -162,12 +159,13 @@ def _structure(model: BaseModel) -> tuple[ca.SX, ca.SX]:
     return x, S
 
 
-def _points(x: ca.SX, S: ca.SX, n: int) -> np.ndarray:
-    """Random states (n, n_states) at which S is finite.
+def _points(x: ca.SX, S: ca.SX, n_more: int = 0) -> np.ndarray:
+    """Random states (40 + n_more, n_states) at which S is finite.
 
     Raises:
         ModelError: it is nowhere.
     """
+    n = 40 + n_more
     points = np.random.default_rng(0).uniform(0.3, 2.0, (2 * n, S.shape[0]))
     signs = np.random.default_rng(1).choice([-1.0, 1.0], points.shape)
     function = ca.Function("S", [x], [S])
@@ -203,8 +201,8 @@ def _reduced(rows: np.ndarray) -> np.ndarray:
         if done == len(rows):
             break
         pivot = done + int(np.argmax(np.abs(rows[done:, column])))
-        if abs(rows[pivot, column]) < PIVOT:
-            continue
+        if abs(rows[pivot, column]) < 1e-6:
+            continue  # no Casimir begins with this product
         rows[[done, pivot]] = rows[[pivot, done]]
         rows[done] /= rows[done, column]
         others = np.arange(len(rows)) != done

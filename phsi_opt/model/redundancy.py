@@ -7,12 +7,6 @@ from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect, is_scanned
 from phsi_opt.model.symbolic import Expressions, function_of, with_slopes
 
-# Range of random values for parameters that have none, away from zero.
-PARAMETER_RANGE = (0.5, 1.5)
-# What is left, as a share of the effect: above the rounding of the least squares, far
-# below any effect of its own.
-NOTHING_LEFT = 1e-8
-
 
 def is_redundant(model: BaseModel, effect: Effect) -> bool:
     """Whether the model can do already what the effect does."""
@@ -31,7 +25,8 @@ def is_spanned(model: BaseModel, effect: Effect) -> bool:
     added = slopes[:, is_new]
     weights = np.linalg.lstsq(own, added, rcond=None)[0]
     left = added - own @ weights
-    return bool(np.linalg.norm(left) < NOTHING_LEFT * np.linalg.norm(added))
+    # Above the rounding of the least squares, far below any effect of its own.
+    return bool(np.linalg.norm(left) < 1e-8 * np.linalg.norm(added))
 
 
 def stands_in(model: BaseModel, effect: Effect) -> bool:
@@ -51,7 +46,7 @@ def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
     known = model.values
     values = []
     for name in larger.free:
-        value = known.get(name) or random.uniform(*PARAMETER_RANGE)
+        value = known.get(name) or random.uniform(0.5, 1.5)  # away from zero
         is_added = name not in model.entries and larger.entries[name].prunable
         values.append(0.0 if is_added else value)
     theta = np.array(values)

@@ -32,10 +32,6 @@ from phsi_opt.model.kinds import (
 from phsi_opt.presentation.units import are_alike
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
-MOST_POSITIONS = 1000  # a structure matrix of 4 million numbers
-# Velocities at which an equation is asked whether it is a known multiple of them; in
-# floats the multiples of powers of two are exact.
-PROBED = (1.0, -2.0, 0.25)
 
 
 def canonical(n: int) -> np.ndarray:
@@ -55,8 +51,8 @@ def canonical(n: int) -> np.ndarray:
         array([[ 0.,  1.],
                [-1.,  0.]])
     """
-    expected = f"the number of positions, a whole number from 1 to {MOST_POSITIONS}"
-    require(is_count(n) and n <= MOST_POSITIONS, "canonical: n", n, expected)
+    expected = "the number of positions, a whole number from 1 to 1000"
+    require(is_count(n) and n <= 1000, "canonical: n", n, expected)
     zero = np.zeros((n, n))
     one = np.eye(n)
     return np.block([[zero, one], [-one, zero]])
@@ -121,7 +117,7 @@ def _velocity(model: BaseModel, position: str) -> str:
         known[name] = one.start if one.fixed else 1.0  # only its sign is asked for
         if not one.fixed and not (are_told and one.lower >= 0):
             return ""
-    at = np.array(PROBED)
+    at = np.array([1.0, -2.0, 0.25])  # multiples of powers of two are exact
     with np.errstate(all="ignore"):  # not every law has a value at all of them
         rate = known.pop("") * evaluate(term.body, {**known, velocity: at}, NUMPY)
         is_proportional = bool(np.all(rate / at == rate[0] / at[0]))

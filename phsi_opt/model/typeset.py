@@ -18,7 +18,6 @@ from phsi_opt.model.symbolic import Bell, Expressions
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.numbers import decimal
 
-MOST_READ = 60  # of a model whose equations somebody reads
 RATE = "<mfrac><mrow><mi>d</mi>{}</mrow><mrow><mi>d</mi><mi>t</mi></mrow></mfrac>"
 TIMES, THIN_SPACE = "<mo>&InvisibleTimes;</mo>", '<mspace width="0.17em"/>'
 SEVERAL_WORDS = re.compile(r"<mi>([^<]+ [^<]+)</mi>")  # upright, as text is
@@ -50,7 +49,7 @@ def typeset_equations(
         unit_of_time: of the measurements.
     """
     model, functions = _with_named_functions(model)
-    if len(model.placed()) > MOST_READ:
+    if len(model.placed()) > 60:  # nobody reads so many terms
         return ()
     import sympy as sp
 

@@ -37,7 +37,6 @@ from phsi_opt.presentation.units import (
 SIZE = "size"  # the power that stands for the logarithm of the size in SI
 _dimension = attrgetter("powers")  # of a measure
 SOME_VALUES = np.array([-2.0, -0.5, 0.25, 3.0])  # values of what changes, in a loss
-LARGEST_LIST = 4  # of units, in a message
 
 
 @dataclass(frozen=True)
@@ -216,9 +215,9 @@ class UnitCheck:
         return numbers
 
     def _listed(self, names: Iterable[str]) -> str:
-        """Such as "q in mm, t in ms"."""
+        """Such as "q in mm, t in ms", of four at most."""
         told = [f"{name} in {self._stated[name]}" for name in names]
-        return ", ".join(told[:LARGEST_LIST])
+        return ", ".join(told[:4])
 
     # ---- measurements as they are given ----------------------------------------------
 

@@ -25,8 +25,6 @@ from phsi_opt.writing import make_folder, write_whole
 
 Progress = Callable[[str], None]
 FORMAT = "phsi_opt sweep 1"
-LONGEST_NAME = 100  # characters of a file's name; file systems take 255 bytes
-DIGEST_LENGTH = 16  # hexadecimal digits that tell long keys apart
 
 
 def silent(line: str) -> None:
@@ -89,9 +87,9 @@ class KeptResults:
     def path_of(self, key: str) -> Path:
         """The file of a key; it may not exist."""
         name = quote(key, safe=" ")
-        if len(name) > LONGEST_NAME or name.startswith("."):
-            digest = hashlib.sha256(key.encode()).hexdigest()[:DIGEST_LENGTH]
-            name = f"{name[: LONGEST_NAME - DIGEST_LENGTH]}-{digest}".lstrip(".")
+        if len(name) > 100 or name.startswith("."):  # file systems take 255 bytes
+            digest = hashlib.sha256(key.encode()).hexdigest()[:16]
+            name = f"{name[:84]}-{digest}".lstrip(".")
         return self.folder / f"{name}.json"
 
 
