@@ -122,31 +122,6 @@ def chi_square_limit(level: float, freedom: float) -> float:
     return float(scipy.special.chdtri(freedom, level))
 
 
-def normal_tail(value: float) -> float:
-    """Probability that a standard normal variable exceeds the value."""
-    return float(scipy.special.ndtr(-value))
-
-
-def normal_limit(level: float) -> float:
-    """What a standard normal variable exceeds with the probability ``level``."""
-    return float(-scipy.special.ndtri(level))
-
-
-def normal_density(value: float) -> float:
-    """Density of the standard normal distribution."""
-    return float(np.exp(-(value**2) / 2) / np.sqrt(2 * np.pi))
-
-
-def student_limit(level: float, freedom: np.ndarray) -> np.ndarray:
-    """What Student's t exceeds with the probability ``level``, (n,) as the freedom."""
-    return np.asarray(-scipy.special.stdtrit(freedom, level))
-
-
-def f_limit(level: float, first: float, second: float) -> float:
-    """What F of these degrees of freedom exceeds with the probability ``level``."""
-    return float(scipy.special.fdtri(first, second, 1 - level))
-
-
 def ljung_box(series: Sequence[np.ndarray]) -> float:
     """p-value of the hypothesis that residuals are white, by Ljung and Box's test.
 

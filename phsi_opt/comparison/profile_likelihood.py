@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from scipy.optimize import brentq
 
 from phsi_opt.arguments import require_known, require_share, typed
@@ -31,7 +32,6 @@ from phsi_opt.estimation.record import Record, likelihood_of, maximum_along, ste
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.summary import printed_table
-from phsi_opt.statistics import f_limit
 from phsi_opt.sweeps.sweep import Progress, sweep
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -178,7 +178,7 @@ def profile(
     line = _Line(fit, AlignedData.of(fit.model, data), name, progress)
     value = line.value
     freedom = fit.degrees_of_freedom[fit.names.index(name)]
-    quantile = f_limit(1 - level, 1, freedom)
+    quantile = float(scipy.special.fdtri(1, freedom, level))
     half = fit.std_errors[name] * np.sqrt(quantile)
     threshold = quantile * line.factor / fit.independent_share([name])
     parameter = fit.model.entries[name].parameter

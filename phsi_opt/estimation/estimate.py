@@ -14,6 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TypeVar
 
 import numpy as np
+import scipy
 
 from phsi_opt.arguments import require_choice, require_share, require_size, typed
 from phsi_opt.data.checks import checked_hold
@@ -33,7 +34,7 @@ from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.standard_errors import Source, Spread, StandardErrors
 from phsi_opt.optimization.ipopt import Solution, SolverSettings
 from phsi_opt.presentation.units import rate_unit
-from phsi_opt.statistics import TINY, chi_square_limit, normal_limit
+from phsi_opt.statistics import TINY, chi_square_limit
 from phsi_opt.sweeps.sweep import Progress, silent
 from phsi_opt.transcription.grid import AlignedData, Grid, WithMeasurements
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
@@ -118,7 +119,7 @@ class Pruning:
         for name in self.candidates(model):
             place = model.free.index(name)
             z[name] = abs(values[name]) / np.sqrt(covariance[place, place])
-        limit = normal_limit(self.significance / max(n_tests, 1) / 2)
+        limit = -scipy.special.ndtri(self.significance / max(n_tests, 1) / 2)
         weak = [name for name in z if z[name] < limit]
         weak.sort(key=z.__getitem__)
         while len(weak) > 1:

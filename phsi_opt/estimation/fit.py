@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 
 from phsi_opt.arguments import require_known, require_share, typed
 from phsi_opt.data.checks import checked_hold
@@ -48,7 +49,7 @@ from phsi_opt.presentation.summary import (
 )
 from phsi_opt.presentation.units import scale_of, spaced
 from phsi_opt.simulation.simulate import simulate
-from phsi_opt.statistics import TINY, student_limit
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.writing import write_whole
 
@@ -384,7 +385,8 @@ class Fit(Identified, Summarised):
 
     def _std_errors_within(self, level: float) -> np.ndarray:
         """Standard errors in half an interval of confidence, (n_names,)."""
-        return np.asarray(student_limit((1 - level) / 2, self.degrees_of_freedom))
+        limits = -scipy.special.stdtrit(self.degrees_of_freedom, (1 - level) / 2)
+        return np.asarray(limits)
 
     def model_of(self, trajectory: str | int) -> Model:
         """The model with the parameters of one trajectory.

@@ -8,11 +8,11 @@ from the data alone, is that of `phsi_opt.data.noise`.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise, least_noise, quantisation_noise
 from phsi_opt.errors import DataError
-from phsi_opt.statistics import normal_density, normal_tail
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import MaximumLikelihood
 
@@ -103,8 +103,9 @@ class NoiseIteration:
         n_used = self.n_theta + len(grid.starts) * grid.y.shape[1]
         freedom = max(1 - n_used / n_values, LEAST_COUNTED)
         if huber is not None:  # E[min(|e|, limit)^2] for standard normal e
-            outside = 2 * normal_tail(huber)
-            within = (1 - outside) - 2 * huber * normal_density(huber)
+            outside = 2 * float(scipy.special.ndtr(-huber))
+            density = np.exp(-(huber**2) / 2) / np.sqrt(2 * np.pi)
+            within = (1 - outside) - 2 * huber * density
             freedom *= within + huber**2 * outside
         estimate = sigma * grid.rms_by_channel(standardized) / np.sqrt(freedom)
         estimate = np.maximum(estimate, np.maximum(self.least, least_noise(grid.y)))
