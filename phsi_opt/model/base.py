@@ -29,7 +29,6 @@ from phsi_opt.model.slots import (
     Entry,
     PlacedTerm,
     Variables,
-    parameter_table,
 )
 from phsi_opt.model.terms import Dictionary, Term, check_number_of_terms
 
@@ -214,8 +213,29 @@ class BaseModel:
 
     @cached_property
     def entries(self) -> Mapping[str, Entry]:
-        """Every parameter by name, in the order of the model."""
-        return parameter_table(self.placed())
+        """Every parameter by name, in the order of the model.
+
+        A formula's parameter may stand in several terms.
+
+        Raises:
+            ModelError: one name for two different parameters, or a term that stands
+                twice.
+        """
+        table: dict[str, Entry] = {}
+        for entry in chain.from_iterable(map(PlacedTerm.entries, self.placed())):
+            known = table.setdefault(entry.name, entry)
+            if known is entry:
+                continue
+            if known.parameter != entry.parameter:
+                raise ModelError(
+                    f"parameter {entry.name!r} is defined twice and differently "
+                    f"({known.slot} and {entry.slot}): "
+                    f"{known.parameter} and {entry.parameter}. "
+                    "Use one Parameter for both, or two names."
+                )
+            if entry.prunable:
+                raise ModelError(f"the term of {entry.name!r} is in the model already.")
+        return MappingProxyType(table)
 
     @cached_property
     def free(self) -> tuple[str, ...]:

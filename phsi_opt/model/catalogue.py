@@ -22,7 +22,6 @@ from phsi_opt.model.kinds import KINDS, RADIANS, ZEROS
 from phsi_opt.model.laws import LAWS, STORAGES, Law, law_of
 from phsi_opt.model.parameter_units import drive_of, parameter_units, state_units
 from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.redundancy import is_redundant, stands_in
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
     WORDS,
@@ -35,6 +34,7 @@ from phsi_opt.model.structure import (
     storage_states,
     with_kinds_of_units,
 )
+from phsi_opt.model.symbolic import is_redundant, stands_in
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.units import are_alike, rate_unit
 

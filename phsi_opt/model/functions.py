@@ -30,7 +30,6 @@ from phsi_opt.model.directions import direction_parts, normal_direction, summed
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
-from phsi_opt.model.redundancy import is_spanned, stands_in
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
     WORDS,
@@ -40,6 +39,7 @@ from phsi_opt.model.structure import (
     position_of_momentum,
     role_of,
 )
+from phsi_opt.model.symbolic import is_spanned, stands_in
 from phsi_opt.model.terms import Dictionary, Term
 
 # Of sinh and tanh the coefficient is the value at the largest that the record has.

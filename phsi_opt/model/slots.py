@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from phsi_opt.data.checks import RESERVED_PREFIXES
@@ -100,32 +99,6 @@ class PlacedTerm(NamedTuple):
             name = self.parameter_name(inner)
             found.append(Entry(name, one, self.slot, self.equation, not inner))
         return found
-
-
-def parameter_table(terms: Iterable[PlacedTerm]) -> Mapping[str, Entry]:
-    """Every parameter by name, in the order of the terms.
-
-    A formula's parameter may stand in several terms.
-
-    Raises:
-        ModelError: one name for two different parameters, or a term that stands twice.
-    """
-    table: dict[str, Entry] = {}
-    for placed in terms:
-        for entry in placed.entries():
-            known = table.setdefault(entry.name, entry)
-            if known is entry:
-                continue
-            if known.parameter != entry.parameter:
-                raise ModelError(
-                    f"parameter {entry.name!r} is defined twice and differently "
-                    f"({known.slot} and {entry.slot}): "
-                    f"{known.parameter} and {entry.parameter}. "
-                    "Use one Parameter for both, or two names."
-                )
-            if entry.prunable:
-                raise ModelError(f"the term of {entry.name!r} is in the model already.")
-    return MappingProxyType(table)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from scipy.signal import savgol_filter
 
 import phsi_opt as ph
 from phsi_opt.model.expressions import NUMPY, evaluate, names_of, parse
-from phsi_opt.model.redundancy import is_redundant
+from phsi_opt.model.symbolic import is_redundant
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.sweeps.sweep import sweep
 from phsi_opt.writing import write_whole
