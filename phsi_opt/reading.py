@@ -10,7 +10,6 @@ from typing import Any
 
 # Bytes; a text table of that size is some 50 million numbers.
 LARGEST_FILE = 500_000_000
-BYTES_AT_ONCE = 1_000_000
 WHY_NOT_READ: dict[type[OSError], str] = {
     FileNotFoundError: "there is no such file; check the path",
     IsADirectoryError: "it is a folder; give the path of a file",
@@ -70,7 +69,7 @@ def read_at_most(file: Any, most: int) -> Any:
     parts = []
     size = 0
     while True:
-        part = file.read(BYTES_AT_ONCE)
+        part = file.read(1_000_000)  # bytes at once
         if not isinstance(part, bytes | str):
             return part
         parts.append(part)

@@ -227,11 +227,13 @@ def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(monkeypatch) -
 def test_a_file_that_was_read_is_read_again_without_a_process(monkeypatch) -> None:
     content = mat_file()
     first = from_mat(io.BytesIO(content), **COLUMNS)
-    monkeypatch.setattr(reading_apart, "SCRIPT", Path("none"))
-    again = from_mat(io.BytesIO(content), **COLUMNS)
+    with monkeypatch.context() as without:
+        without.setattr(reading_apart, "SCRIPT", Path("none"))
+        again = from_mat(io.BytesIO(content), **COLUMNS)
     assert again.trajectories[0].x.tolist() == first.trajectories[0].x.tolist()
-    monkeypatch.setattr(reading_apart, "MOST_KEPT", 0)
+    monkeypatch.setattr(reading_apart, "READING_LIMITS", reading_apart.Limits(kept=0))
     from_mat(io.BytesIO(content), **COLUMNS)
+    monkeypatch.setattr(reading_apart, "SCRIPT", Path("none"))
     with pytest.raises(ph.DataError, match="exit code"):
         from_mat(io.BytesIO(content), **COLUMNS)
 

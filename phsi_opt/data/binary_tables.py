@@ -114,7 +114,6 @@ def table_of_groups(
 # ---- MATLAB --------------------------------------------------------------------------
 
 Vectors = dict[Variable, dict[str, np.ndarray]]  # those of each variable, by name
-MOST_LISTED = 50  # variables in a message
 SAVE_AGAIN = (
     "Save it again in MATLAB by save(name, '-v7'), or write the table as CSV by "
     "writetable or writematrix."
@@ -194,9 +193,9 @@ def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
 def _listing(variables: Vectors) -> str:
     """What a file holds, as a sentence."""
     listed = [f"{one.name!r} ({one.said})" for one in variables]
-    others = len(listed) - MOST_LISTED
+    others = len(listed) - 50
     more = f" and {others} more" if others > 0 else ""
-    return f"The file contains: {', '.join(listed[:MOST_LISTED]) or 'nothing'}{more}."
+    return f"The file contains: {', '.join(listed[:50]) or 'nothing'}{more}."
 
 
 def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.ndarray]]:

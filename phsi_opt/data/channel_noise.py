@@ -22,9 +22,6 @@ STORED_ERRORS = (
     0.6 * float(np.finfo(np.float32).eps),
     8 * float(np.finfo(np.float64).eps),
 )
-# Errors between two values below which they are the same value; a finer lattice has a
-# point near every value.
-SAME_VALUE = 4.0
 DEVIATION_PER_STEP = 1 / np.sqrt(12)  # of an error that is uniform over one step
 
 
@@ -112,21 +109,23 @@ def lattice_step(values: np.ndarray, error: float) -> float:
         values: (n_values,) sorted, all different.
         error: of a value, at most.
     """
-    is_new = np.diff(values, prepend=-np.inf) > SAME_VALUE * error
+    # Less is between two readings of one value; a finer lattice has a point near each.
+    least = 4.0 * error
+    is_new = np.diff(values, prepend=-np.inf) > least
     values = values[is_new]
     if len(values) < 2:
         return 0.0
     gaps = np.diff(values)
     step = float(gaps.min())
-    while step > SAME_VALUE * error:  # a remainder is at most half of the step
-        fitted, distance = _fitted_lattice(values, step, error)
+    while step > least:  # a remainder is at most half of the step
+        fitted, distance = _fitted_lattice(values, step, least)
         if distance <= 1.3 * error:  # of a value from what was fitted to all
             # Two values always lie near to one; would more do so by chance, anywhere,
             # in more than one of 10 000 cases?
             chance = (len(values) - 2) * np.log(2 * (error / fitted))
             return fitted if len(values) == 2 or chance < np.log(1e-4) else 0.0
         remainders = np.abs(gaps - np.round(gaps / step) * step)
-        is_left = remainders > SAME_VALUE * error
+        is_left = remainders > least
         if not is_left.any():
             break
         step = float(remainders[is_left].min())
@@ -134,7 +133,7 @@ def lattice_step(values: np.ndarray, error: float) -> float:
 
 
 def _fitted_lattice(
-    values: np.ndarray, step: float, error: float
+    values: np.ndarray, step: float, least: float
 ) -> tuple[float, float]:
     """The step by least squares, and the largest distance from its lattice."""
 
@@ -142,7 +141,7 @@ def _fitted_lattice(
         return np.append(0.0, np.cumsum(np.round(gaps / step)))
 
     gaps = np.diff(values)
-    single = gaps[gaps <= step + SAME_VALUE * error]
+    single = gaps[gaps <= step + least]
     if len(single):
         step = float(np.mean(single))
     k = counted(step)

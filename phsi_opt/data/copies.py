@@ -24,7 +24,6 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, some_of
 
-FEWEST_SAMPLES = 30  # from which the scatter of neighbouring samples tells the noise
 AnyMeasurements = TypeVar("AnyMeasurements", bound=Measurements)
 
 
@@ -76,12 +75,12 @@ def _copies(
 ) -> dict[str, str]:
     """Copies of originals, or of runs before them where there are no originals."""
     groups: dict[tuple[object, ...], list[_Channels]] = {}
-    for run in originals:
-        groups.setdefault(_key(run), []).append(_Channels(run))
+    for channels in map(_Channels, originals):
+        groups.setdefault(channels.key, []).append(channels)
     copies = {}
     for run in runs:
-        alike = groups.setdefault(_key(run), [])
         own = _Channels(run)
+        alike = groups.setdefault(own.key, [])
         found = next(filter(own.is_copy_of, alike), None)
         measured = run.x[np.isfinite(run.x)]
         # At rest, or in a few samples of a coarse sensor, runs are equal by chance.
@@ -92,18 +91,24 @@ def _copies(
     return copies
 
 
-def _key(run: Trajectory) -> tuple[object, ...]:
-    """What two copies have in common: what was measured; of few samples the first."""
-    first = repr((run.x[0] + 0.0).tolist())  # one kind of NaN and of zero
-    is_short = run.n_samples < FEWEST_SAMPLES
-    return run.x.shape, run.u.shape, np.isfinite(run.x).tobytes(), is_short and first
-
-
 @dataclass(frozen=True, eq=False)
 class _Channels:
     """The states and inputs of a run."""
 
     run: Trajectory
+
+    @property
+    def is_short(self) -> bool:
+        """Whether the scatter of neighbouring samples does not tell the noise."""
+        return self.run.n_samples < 30
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What two copies share: which samples were measured; of few the first."""
+        x = self.run.x
+        first = repr((x[0] + 0.0).tolist())  # one kind of NaN and of zero
+        what = (x.shape, self.run.u.shape, np.isfinite(x).tobytes())
+        return *what, self.is_short and first
 
     @cached_property
     def values(self) -> np.ndarray:
@@ -126,7 +131,7 @@ class _Channels:
     @cached_property
     def allowed(self) -> np.ndarray:
         """Root mean square difference of a copy, at most, (n_channels,)."""
-        if self.run.n_samples < FEWEST_SAMPLES:
+        if self.is_short:
             return np.zeros(len(self._scatters))
         noise = np.array(list(map(robust_deviation, self._scatters)))
         return np.nan_to_num(noise) / np.sqrt(2)

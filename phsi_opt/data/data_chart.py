@@ -24,12 +24,6 @@ from phsi_opt.presentation.content import thinned
 from phsi_opt.presentation.numbers import label, number_of
 from phsi_opt.presentation.units import scale_of_time, time_words
 
-MOST_POINTS = 4000  # of a channel that are drawn
-MOST_NAMES = 10  # of runs that have room below the axis
-AXIS_LETTERS = 38  # of names side by side, on a narrow screen
-MOST_TICKS = 200  # runs of which any is named
-CELL = 0.94  # of a cell's width that the longest run takes
-
 
 def data_chart(look: DataLook) -> Chart:
     """Every measured channel over time, states first.
@@ -54,8 +48,14 @@ def data_chart(look: DataLook) -> Chart:
     return Chart(x_label, tuple(panels), f"{n_runs}, {len(look.t)} samples", ticks)
 
 
-def _axis(look: DataLook) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
-    """Where each sample stands, (n_samples,), with the label and ticks of the axis."""
+def _axis(
+    look: DataLook, most_names: int = 10, letters: int = 38, width: float = 0.94
+) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
+    """Where each sample stands, (n_samples,), with the label and ticks of the axis.
+
+    Below the axis there is room for ten names of runs, on a narrow screen for 38
+    letters; the longest run takes 94 % of its cell.
+    """
     runs = look.trajectories
     begins = np.array([run.t[0] for run in runs])
     lengths = np.array([run.t[-1] - run.t[0] for run in runs])
@@ -64,14 +64,14 @@ def _axis(look: DataLook) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
     if len(runs) == 1:
         scale = scale_of_time(longest, unit)
         return look.t / scale.size, time_label(scale.unit, runs[0].origin), ()
-    cells = np.arange(len(runs)) - CELL * lengths / longest / 2
-    x = cells[look.run] + CELL * (look.t - begins[look.run]) / longest
+    cells = np.arange(len(runs)) - width * lengths / longest / 2
+    x = cells[look.run] + width * (look.t - begins[look.run]) / longest
     each = "each" if np.ptp(lengths) < 0.01 * longest else "up to"
     x_label = f"runs one after another, {each} {time_words(longest, unit)} long"
-    if len(runs) > MOST_TICKS:
+    if len(runs) > 200:
         return x + 1, f"number of the run; {x_label}", ()
-    every = -(-len(runs) // MOST_NAMES)
-    room = max(AXIS_LETTERS // min(len(runs), MOST_NAMES), 5)
+    every = -(-len(runs) // most_names)
+    room = max(letters // min(len(runs), most_names), 5)
     names = [run.name for run in runs]
     if max(map(len, names)) > 2 * room:  # without what all names begin with
         begin = commonprefix(names)  # noqa: RUF071 -- these are no paths
@@ -100,7 +100,7 @@ def _line(look: DataLook, one: ChannelLook, x: np.ndarray) -> Curve:
 
 
 def _thinned(curve: Curve) -> Curve:
-    kept = thinned([curve.y], MOST_POINTS)
+    kept = thinned([curve.y], 4000)
     return replace(curve, x=curve.x[kept], y=curve.y[kept])
 
 

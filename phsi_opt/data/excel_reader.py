@@ -17,7 +17,6 @@ from phsi_opt.data.table_extent import n_filled
 from phsi_opt.reading import check_size
 
 MOST_ROWS, MOST_COLUMNS = 1_048_576, 16_384  # the limits of Excel
-BYTES = 32  # of a cell in a list: 8 of the place, 24 of a number
 USUAL_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 DEFINITIONS = re.compile(rb"<!(?:DOCTYPE|ENTITY)")
 CELLS = (b"<c ", b"<c>", b"<c/")
@@ -62,7 +61,8 @@ def _check_part(name: str, content: bytes) -> None:
                 raise OSError(f"a row of its part {name!r} has too many cells")
 
 
-def _filled_rows(sheet: Any, most: int) -> Iterator[Row]:
+def _filled_rows(sheet: Any, most: int, bytes_each: int = 32) -> Iterator[Row]:
+    """The rows; a cell in a list takes 8 bytes for its place and 24 for a number."""
     book = sheet.parent
     source = sheet._get_source()
     formats = book._date_formats, book._timedelta_formats
@@ -90,8 +90,8 @@ def _filled_rows(sheet: Any, most: int) -> Iterator[Row]:
             n_rows += 1
             width = max(width, len(cells))
             yield number, cells
-        if BYTES * width * n_rows + size > most:
+        if bytes_each * width * n_rows + size > most:
             raise OSError(
-                f"its sheet {sheet.title!r} has more than {most // BYTES} cells, or "
-                "too long texts"
+                f"its sheet {sheet.title!r} has more than {most // bytes_each} cells, "
+                "or too long texts"
             )

@@ -18,7 +18,6 @@ UNREAD = (
     "a sparse matrix, a table or an object, which is not supported; convert it with "
     "full or writetable"
 )
-MOST_STRUCTS = 1000  # in a list; a recording has one for each signal
 Named = Iterator[tuple[str, np.ndarray]]
 
 
@@ -54,7 +53,7 @@ def _named(name: str, value: Any) -> Named:
     if isinstance(value, MatlabOpaque) or not is_struct or not value.size:
         yield name, _numbers_or_words(value)
         return
-    if value.size > MOST_STRUCTS:
+    if value.size > 1000:  # a recording has one for each signal
         yield name, np.array(f"a list of {value.size} structs, which is not supported")
         return
     for place, struct in enumerate(value.ravel(order="F"), 1):

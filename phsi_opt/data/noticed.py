@@ -18,18 +18,14 @@ from phsi_opt.data.channel_noise import (
     robust_deviation,
     scatter_of,
 )
-from phsi_opt.data.trajectory import STEPPED_SHARE, Trajectory, is_stepped, run_numbers
+from phsi_opt.data.trajectory import Trajectory, is_stepped, run_numbers
 from phsi_opt.errors import some_of
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.units import date_words, spaced, time_words
 
-LONG_STEP = 1.5  # typical steps: a longer step of the clock is a gap
 REGULAR_STEPS = 0.01  # largest deviation of a step, of a clock that is regular
 BEYOND = 5.0  # times by which an outlier is beyond what its surroundings do
-AROUND = 5  # samples on each side that are the surroundings of a sample
 MANY = 10  # equal samples that are no chance
-# of the variance of an input: as much as `is_stepped` leaves to noise on its steps
-UNKNOWN_SHARE = 1 - STEPPED_SHARE
 NOT_HELD = 'but interpolated: if it is held, give hold="zero"'
 NO_SAMPLES = np.array([], dtype=int)
 
@@ -135,18 +131,22 @@ class DataLook:
         return self.steps / self.typical_steps[self.run]
 
     @cached_property
+    def is_long(self) -> np.ndarray:
+        """Which steps are longer than 1.5 typical ones, (n_samples,)."""
+        return np.asarray(self.relative_steps > 1.5)
+
+    @cached_property
     def is_uneven(self) -> bool:
         """Whether long steps are a tenth of all, or half of the time; none is a gap."""
-        is_long = self.relative_steps > LONG_STEP
-        time = np.nansum(self.steps[is_long]) / np.nansum(self.steps)
-        return bool(np.mean(is_long) > 0.1 or time > 0.5)
+        time = np.nansum(self.steps[self.is_long]) / np.nansum(self.steps)
+        return bool(np.mean(self.is_long) > 0.1 or time > 0.5)
 
     @cached_property
     def gaps(self) -> np.ndarray:
         """The numbers of the samples before a gap of the clock."""
         if self.is_uneven:
             return NO_SAMPLES
-        return np.flatnonzero(self.relative_steps > LONG_STEP)
+        return np.flatnonzero(self.is_long)
 
     def clock_words(self) -> str:
         """How regular the samples are, where gaps are, and what is odd in the runs."""
@@ -344,7 +344,8 @@ def breaks_of(run: Trajectory) -> np.ndarray:
     """The numbers of the samples before gaps in which an input is unknown.
 
     It is known if it is the same after the gap, or if interpolation over as many steps
-    elsewhere in the run misses less than 3 % of its variance, as of a smooth input. The
+    elsewhere in the run misses less than 3 % of its variance, as of a smooth input and
+    as `is_stepped` leaves to noise. The
     states of a model begin anew after the gap, and need some samples on both sides.
     """
     look = DataLook((run,))
@@ -354,7 +355,7 @@ def breaks_of(run: Trajectory) -> np.ndarray:
         if min(k - breaks[-1], run.n_samples - 1 - k) >= MANY:
             places = np.flatnonzero(run.u[k] != run.u[k + 1])
             n_steps = round(look.relative_steps[k])
-            if any(missed(int(i), n_steps) > UNKNOWN_SHARE for i in places):
+            if any(missed(int(i), n_steps) > 0.03 for i in places):
                 breaks.append(int(k))
     return np.array(breaks[1:], dtype=int)
 
@@ -365,7 +366,7 @@ def _missed_share(look: DataLook, place: int, n_steps: int) -> float:
     In the middle, where the input changes and there is no gap; one if that is nowhere.
     """
     u = look.trajectories[0].u[:, place]
-    n_gaps = np.cumsum(look.relative_steps > LONG_STEP)
+    n_gaps = np.cumsum(look.is_long)
     is_known = (u[:-n_steps] != u[n_steps:]) & (n_gaps[:-n_steps] == n_gaps[n_steps:])
     first = np.flatnonzero(is_known)
     if not len(first):
@@ -382,7 +383,7 @@ def _stretches(repeats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lone_peaks(
-    t: np.ndarray, y: np.ndarray, run: np.ndarray, noise: float
+    t: np.ndarray, y: np.ndarray, run: np.ndarray, noise: float, n_around: int = 5
 ) -> np.ndarray:
     """The numbers of single samples that are far from both of their neighbours.
 
@@ -402,11 +403,12 @@ def lone_peaks(
         between = (1 - share) * y[:-2] + share * y[2:]
     away = np.where(run[2:] == run[:-2], y[1:-1] - between, 0.0)
     # zero where a sample has no two neighbours
-    around = sliding_window_view(np.pad(away, AROUND + 1), 2 * AROUND + 1)
-    near = around[:, AROUND - 1 : AROUND + 2]
+    around = sliding_window_view(np.pad(away, n_around + 1), 2 * n_around + 1)
+    middle = np.s_[n_around - 1 : n_around + 2]
+    near = around[:, middle]
     size = np.abs(near[:, 1])
     beside = near[:, ::2] / np.where(size > 0, near[:, 1], 1.0)[:, None]
-    far = np.delete(around, np.s_[AROUND - 1 : AROUND + 2], axis=1)
+    far = np.delete(around, middle, axis=1)
     by_noise = np.sqrt(1.5) * np.nan_to_num(noise)
     is_peak = size > BEYOND * np.maximum(by_noise, np.abs(far).max(axis=1))
     has_pattern = np.all((beside < -0.25) & (beside > -0.75), axis=1)

@@ -18,8 +18,6 @@ from typing import Any
 
 import numpy as np
 
-MOST_OF_ERROR = 200  # of what a library says of a file
-
 
 def main() -> None:
     """Read the request at the standard input, and write the answer."""
@@ -41,8 +39,8 @@ def main() -> None:
     except OSError as error:
         written = json.dumps({"why": str(error)})
     except Exception as error:  # the libraries promise no classes of their errors
-        said = " ".join(f"{type(error).__name__}: {error}".split())[:MOST_OF_ERROR]
-        why = f"it is of another kind, or it is damaged ({said})"
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        why = f"it is of another kind, or it is damaged ({said[:200]})"
         written = json.dumps({"why": why})
     Path("answer.json").write_text(written, encoding="utf-8")
 

@@ -40,15 +40,15 @@ DATES: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Limits:
-    """What the reading of one file may take."""
+    """What the reading of files may take, of one at a time."""
 
     seconds: float = 120.0  # of processor time; a file of 500 MB takes about 10
     wait: float = 600.0  # seconds by the clock: a machine may be busy
     memory: int = 3_000_000_000  # bytes; a file of 500 MB takes less than half
+    kept: int = 100_000_000  # bytes of all answers that are kept
 
 
 READING_LIMITS = Limits()
-MOST_KEPT = 100_000_000  # bytes of all answers that are kept
 # Plain data and arrays as they were written, the latest last, by the digest of what was
 # asked and of the file.
 _kept: dict[bytes, tuple[bytes, bytes]] = {}
@@ -85,7 +85,7 @@ def read_apart(
     if "message" in answer:
         raise DataError(answer["message"])
     _kept[key] = written
-    while sum(map(len, chain(*_kept.values()))) > MOST_KEPT:
+    while sum(map(len, chain(*_kept.values()))) > READING_LIMITS.kept:
         _kept.pop(next(iter(_kept)))
     return answer["content"], answer["arrays"]
 

@@ -24,7 +24,6 @@ from phsi_opt.presentation.numbers import number_of
 
 BLANKS = " "  # one blank or several, tabs among them
 SEPARATORS = (",", ";", "\t", BLANKS)
-FEW = 10  # numbers; among less, a short one is no sign of a line that was cut
 SEPARATOR = re.compile(r"[^\"\r\n]")
 
 
@@ -99,7 +98,7 @@ def table_of_csv(file: OpenedFile, wanted: Iterable[Any], form: TextFormat) -> T
 
 def _ending(text: str, table: Table) -> str:
     """Why the last line may be cut: its number is shorter than those above it."""
-    if len(table.frame) <= FEW:
+    if len(table.frame) <= 10:  # among so few, a short number is no sign
         return ""
     cells = table.frame.iloc[:, -1]
     digits = cells.str.count(r"\d").tolist()

@@ -36,11 +36,7 @@ FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
 OPENED_FILE = "opened_study.toml"
 REPORT_FILE = "report.html"
-MOST_MOMENTS = 100  # to which undo goes
-# Processor seconds of a call of the process that reads, and more where files are large:
-# a full check of a table takes some 2 s for each MB.
-READ_WITHIN = 60.0
-SECONDS_PER_BYTE = 10e-6
+READ_WITHIN = 60.0  # processor seconds of a call of the process that reads
 HAS_ENDED = "this study has ended; load the page again."
 NO_TABLE = Complaint("data.files", "", "there is no table yet; upload a file.")
 
@@ -413,7 +409,7 @@ class Session:
             known = self._moments[self._moment]
             if known.draft != self.draft or known.model not in (None, self.now):
                 del self._moments[self._moment + 1 :]
-                self._moments = [*self._moments, known][-MOST_MOMENTS:]
+                self._moments = [*self._moments, known][-100:]  # to which undo goes
                 self._moment = len(self._moments) - 1
             self._moments[self._moment] = Moment(deepcopy(self.draft), self.now)
 
@@ -498,7 +494,8 @@ class Session:
             if places is not None:
                 known = filter(os.path.exists, places.values())
                 size = sum(map(os.path.getsize, known))
-                within = READ_WITHIN + SECONDS_PER_BYTE * size
+                # A full check of a table takes some 2 s for each MB.
+                within = READ_WITHIN + 10e-6 * size
             return self._ready_reader().call(within, partial(read, *given))
 
     def _ready_reader(self) -> WorkerHandle:

@@ -152,8 +152,12 @@ class Key(NamedTuple):
 
     @property
     def most(self) -> int:
-        """The entries that its list or table may have."""
-        return MOST_OF_MANY if self.path in COMES_WITH_DATA else MOST_ENTRIES
+        """The entries that its list or table may have.
+
+        A person writes fewer, and the check of a file takes a time that grows with
+        their square; a catalogue of effects takes 0.1 s for each name.
+        """
+        return 1000 if self.path in COMES_WITH_DATA else 100
 
     @property
     def what(self) -> Form:
@@ -242,10 +246,7 @@ FORMS = {
         ARE_TERMS, 'a formula in quotes, such as "c*dH_dp", or a list of them', "term"
     ),
 }
-# Entries of one list or table. A person writes fewer, and the check of a file takes a
-# time that grows with their square; a catalogue of effects takes 0.1 s for each name.
-MOST_ENTRIES = 100
-MOST_OF_MANY = 1000  # where what is counted comes with the data, or is a sum of terms
+# Lists and tables whose entries come with the data, or are a sum of terms.
 COMES_WITH_DATA = (
     *("data.files", "data.columns", "held_out.runs", "final.runs", "parameters"),
     *("model.H", "model.R.*", "model.F.*", "model.sensor.*", "effects.term"),

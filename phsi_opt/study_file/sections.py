@@ -40,7 +40,6 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 TEXT_READER = "from_csv"
 LOGGERS = {"from_mdf": "asammdf", "from_tdms": "nptdms"}
 OF_TEXTS = ("columns", "separator", "decimal", "skip", "units_row")
-DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
 
 
 def reader_of(path: Path | DataFile) -> str:
@@ -333,7 +332,7 @@ class StudySection:
     # names of those to consider; None: the catalogue, and the user's own
     effects: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()  # names of those never to consider
-    max_steps: int = DEFAULT_MAX_STEPS  # how many ``--auto`` adds at most
+    max_steps: int = 4  # how many ``--auto`` adds at most, as `Study.auto`
     title: str = ""  # of reports
 
 

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 MOST_NESTED = 32  # tables, lists and parts of a key in each other; a study needs 8
 LARGEST_STUDY = 1_000_000  # bytes of a study file, which a person writes
-LARGEST_WHOLE = 10**300  # of what floats can hold
 # A text that is never closed ends where it could; every match is possessive ("+" behind
 # another sign), so that a search takes a time in proportion to the text.
 KEY_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?)"""
@@ -89,7 +88,7 @@ def toml_tables(text: str) -> dict[str, Any]:
 def _check_bounds(value: Any, depth: int = 0) -> None:
     if depth > MOST_NESTED:
         raise RecursionError
-    if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
+    if isinstance(value, int) and abs(value) > 10**300:
         raise ValueError("a whole number has more than 300 digits")
     further = value.values() if isinstance(value, dict) else value
     for entry in further if isinstance(value, dict | list) else ():
