@@ -22,7 +22,6 @@ from phsi_opt.page.drafts import (
     MOST_UPLOADED,
     NOTHING,
     RUNS,
-    ColumnDraft,
     DataDraft,
     draft_of,
     match_states,
@@ -35,7 +34,7 @@ from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import beside, rows_of
 from phsi_opt.page.worker import Shown, Turns, waits
 from phsi_opt.presentation.content import StudyContent
-from phsi_opt.study_file.columns import INPUT, STATE, TIME, UNUSED
+from phsi_opt.study_file.columns import INPUT, STATE, TIME, UNUSED, Column
 from phsi_opt.study_file.gallery import GALLERY
 from phsi_opt.study_file.toml_text import toml_tables
 from tests.page_tools import contrast, spring_table
@@ -69,8 +68,8 @@ def filled(folder: Path) -> Session:
     session = Session(folder)
     assert session.upload("spring.csv", spring_table()), session.upload_error
     session.choose(GALLERY["mass"])
-    mass = next(one for one in session.draft.model.parameters if one.name == "m")
-    mass.table["value"] = 2.5
+    mass = next(one for one in session.draft.model.parameters if one["name"] == "m")
+    mass["value"] = 2.5
     assert session.check() == ()
     return session
 
@@ -197,7 +196,7 @@ def test_another_sheet_or_group_of_a_file_is_chosen(make: Any, tmp_path: Path) -
     assert session.upload(f"a{suffix}", content), session.upload_error
     known: Any = session.draft.data
     assert known.sheets == ("fast", "slow")
-    known.parts["held_out"].way = NOTHING
+    known.parts["held_out"]["way"] = NOTHING
     session.choose_sheet("slow")
     data: Any = session.draft.data
     if make is tdms_file:  # its slow group has one column, and no times
@@ -205,7 +204,7 @@ def test_another_sheet_or_group_of_a_file_is_chosen(make: Any, tmp_path: Path) -
     else:
         assert data.columns[1].unit == "degC", session.upload_error
     assert session.draft.content()["data"][key] == "slow"
-    assert data.parts["held_out"].way == NOTHING, "what was said stays"
+    assert data.parts["held_out"]["way"] == NOTHING, "what was said stays"
     assert session.upload(f"b{suffix}", content), session.upload_error
     assert list(data.places) == [f"a{suffix}", f"b{suffix}"]
     assert data.sheets[0] == "slow"
@@ -227,7 +226,7 @@ def test_tables_with_the_same_columns_are_runs_and_others_take_their_place(
     session.upload("a.csv", b"t;q\n0;1,5\n1;3,5\n2;2,0\n")
     data = session.draft.data
     assert data is not None
-    data.columns[1].table["unit"] = "mm"
+    data.columns[1].unit = "mm"
     session.upload("b.csv", b"t;q\n0;2,5\n1;1\n2;4\n")
     assert data.runs == ["a", "b"]
     session.remove_file("a.csv")
@@ -247,9 +246,9 @@ def test_tables_with_the_same_columns_are_runs_and_others_take_their_place(
 
 def test_columns_become_the_states_of_the_same_unit() -> None:
     columns = [
-        ColumnDraft("v", STATE, {"name": "v", "unit": "m/s"}),
-        ColumnDraft("x", STATE, {"name": "x", "unit": "mm"}),
-        ColumnDraft("u", INPUT, {"name": "u", "unit": "N"}),
+        Column("v", unit="m/s", part=STATE, name="v"),
+        Column("x", unit="mm", part=STATE, name="x"),
+        Column("u", unit="N", part=INPUT, name="u"),
     ]
     data = DataDraft({"a.csv": Path("a.csv")}, columns)
     match_states(data, GALLERY["pendulum"])
@@ -267,13 +266,15 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     columns[0].part = UNUSED
     assert match_states(data, GALLERY["mass"]) is GALLERY["mass"]
     assert data.unmeasured == {"p": "kg m/s"}
-    assert not any(one.is_assumed for one in draft.parameters), "a force shows the mass"
+    assert not any(one["is_assumed"] for one in draft.parameters), (
+        "a force shows the mass"
+    )
 
 
 def test_a_column_taken_for_a_state_is_the_input_that_a_base_model_needs() -> None:
     columns = [
-        ColumnDraft("Spannung", STATE, {"name": "Spannung", "unit": "V"}),
-        ColumnDraft("Strom", STATE, {"name": "Strom", "unit": "mA"}),
+        Column("Spannung", unit="V", part=STATE, name="Spannung"),
+        Column("Strom", unit="mA", part=STATE, name="Strom"),
     ]
     data = DataDraft({"a.csv": Path("a.csv")}, columns)
     match_states(data, GALLERY["rlc"])
@@ -288,13 +289,13 @@ def test_the_run_for_the_end_is_chosen_like_those_held_out(session: Session) -> 
     final = data.parts["final"]
     content = session.draft.content()
     assert (content["held_out"], content["final"]) == ({"share": 0.3}, {})
-    final.table["runs"] = ["run 1"]
+    final["runs"] = ["run 1"]
     for way, told in ((RUNS, ["run 1"]), (NOTHING, [])):
-        final.way = way
+        final["way"] = way
         assert session.check() == ()
         assert session.draft.content()["final"] == {"runs": told}
-    data.parts["held_out"].way = final.way = RUNS
-    data.parts["held_out"].table["runs"] = ["run 1"]
+    data.parts["held_out"]["way"] = final["way"] = RUNS
+    data.parts["held_out"]["runs"] = ["run 1"]
     (found,) = session.check()
     assert found.key.split(".")[0] in ("held_out", "final"), found
 
@@ -308,21 +309,21 @@ def test_dates_are_read_in_the_order_of_which_they_can_be(tmp_path: Path) -> Non
     data = session.draft.data
     assert data is not None
     date = data.columns[0]
-    assert date.title == "Date + Time"
-    assert date.table["date_format"] == "%m/%d/%Y %H:%M:%S"
+    assert date.heading == "Date + Time"
+    assert date.date_format == "%m/%d/%Y %H:%M:%S"
     session.choose(GALLERY["room"])
     assert not [one for one in session.check() if one.key.startswith("data.time")]
     date.part = UNUSED
     data.time |= {"step": 5.0, "unit": "min"}
     assert not [one for one in session.check() if one.key.startswith("data.time")]
     date.part = TIME
-    assert date.table["date_format"] == "%m/%d/%Y %H:%M:%S"
+    assert date.date_format == "%m/%d/%Y %H:%M:%S"
 
 
 def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     session.draft.model.table["H"] = "kk*q**2/2 + p**2/(2*m)"
     session.draft.model.table["R"]["p"] = "c*("
-    session.draft.model.parameters[0].table["lower"] = "twenty"
+    session.draft.model.parameters[0]["lower"] = "twenty"
     words = {one.key: complaint_words(one) for one in session.check()}
     assert "Energy H" in words["model.H"]
     assert "'kk' is not known here" in words["model.H"]
@@ -396,7 +397,7 @@ def test_the_measurements_are_drawn_before_there_is_a_model(tmp_path: Path) -> N
     session.check()
     assert session.seen_data is seen, "nothing has changed"
     assert session.draft.data is not None
-    session.draft.data.columns[2].table["unit"] = "metre"
+    session.draft.data.columns[2].unit = "metre"
     session.check()
     assert session.seen_data.rows[1]["unit"] == "metre"
     session.draft.data.columns[1].part = UNUSED
@@ -505,7 +506,7 @@ def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None
 def test_every_edit_is_undone_and_done_again(tmp_path: Path) -> None:
     session = filled(tmp_path)
     assert session.draft.data is not None
-    session.draft.data.columns[2].table["unit"] = "metre"
+    session.draft.data.columns[2].unit = "metre"
     session.check()
     session.draft.model.table["H"] = "k*q**2 + p**2/(2*m)"
     session.check()
@@ -565,8 +566,8 @@ def test_a_study_file_opens_when_its_tables_are_there(tmp_path: Path) -> None:
 
 
 def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
-    mass = next(one for one in session.draft.model.parameters if one.name == "m")
-    del mass.table["value"]
+    mass = next(one for one in session.draft.model.parameters if one["name"] == "m")
+    del mass["value"]
     said = [complaint_words(one) for one in session.check()]
     assert "Parameter m: enter the known value, such as 2.5." in said
     del session.draft.model.table["states"]

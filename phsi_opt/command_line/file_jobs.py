@@ -83,7 +83,7 @@ def first_study(
     content = {
         "study_file": str(study),
         "read": {one.key: one.content for one in table.read},
-        "columns": [column.content for column in table.columns],
+        "columns": [column.answer for column in table.columns],
         "further": list(map(vars, table.table.further)),
         "needs": list(map(vars, needs)),
     }

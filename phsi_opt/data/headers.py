@@ -8,6 +8,7 @@ A column of a MATLAB matrix, "X(:,2)", has no unit.
 
 import re
 from dataclasses import dataclass
+from typing import Any
 
 from phsi_opt.data.table_extent import is_unit
 from phsi_opt.presentation.units import are_alike
@@ -42,12 +43,12 @@ SET_POINT_WORDS = words_in(
 )
 
 
-@dataclass(eq=False)
+@dataclass
 class Header:
     """A header."""
 
-    column: str  # as it stands in the table
-    label: str  # without the unit
+    column: Any  # as it stands in the table
+    label: str = ""  # without the unit
     unit: str = ""  # "" where it does not tell one
 
     @classmethod

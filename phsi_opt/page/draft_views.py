@@ -12,7 +12,6 @@ from phsi_opt.errors import Complaint
 from phsi_opt.page.drafts import (
     ENERGY,
     FIRST_ORDER,
-    KEYS_OF_PARTS,
     KEYS_OF_WAYS,
     MOST_FILES,
     MOST_UPLOADED,
@@ -23,12 +22,13 @@ from phsi_opt.page.drafts import (
     TABLE_KINDS,
     USUAL,
     USUAL_WAYS,
-    ColumnDraft,
+    Content,
     DataDraft,
     ModelDraft,
-    ParameterDraft,
-    PartDraft,
     in_megabytes,
+    let_be_known,
+    parameter_of,
+    parameter_words,
 )
 from phsi_opt.page.parts import (
     Then,
@@ -46,7 +46,15 @@ from phsi_opt.page.parts import (
 )
 from phsi_opt.page.session import Session
 from phsi_opt.presentation.numbers import capitalised, number_of
-from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME, UNUSED
+from phsi_opt.study_file.columns import (
+    INPUT,
+    KEYS_OF_PARTS,
+    RUN,
+    STATE,
+    TIME,
+    UNUSED,
+    Column,
+)
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
 from phsi_opt.study_file.keys import KEYS_OF, listed
 
@@ -197,7 +205,7 @@ class DataView:
     async def _set_sheet(self, name: str) -> None:
         await run.io_bound(self.session.choose_sheet, name)
 
-    def _column(self, data: DataDraft, column: ColumnDraft) -> None:
+    def _column(self, data: DataDraft, column: Column) -> None:
         async def set_part(part: str) -> None:
             if part in (TIME, RUN):
                 for known in data.of_part(part):
@@ -208,13 +216,13 @@ class DataView:
 
         with field_row():
             with ui.element("div").style("width: 11em"):
-                ui.label(column.title).style("font-weight: 600")
+                ui.label(column.heading).style("font-weight: 600")
                 ui.label(", ".join(column.examples)).classes("faint formula")
             parts = PARTS_OF_COLUMNS if column.is_numeric else (TIME, RUN, UNUSED)
-            choice(f"{column.title} is", parts, column.part, set_part)
+            choice(f"{column.heading} is", parts, column.part, set_part)
             if column.part in KEYS_OF_PARTS:
                 shown = (KEYS_OF_PARTS[column.part], FIELDS_OF_PART[column.part])
-                fields(column.table, *shown, self.checked, column.title)
+                fields(vars(column), *shown, self.checked, column.heading)
 
     @ui.refreshable_method
     def parts(self) -> None:
@@ -228,22 +236,22 @@ class DataView:
             with ui.element("div").classes("fields"):
                 self._part(section, data.runs, data.parts[section])
 
-    def _part(self, section: str, runs: list[str], part: PartDraft) -> None:
+    def _part(self, section: str, runs: list[str], part: Content) -> None:
         async def set_way(way: str) -> None:
-            part.way = way
+            part["way"] = way
             self.parts.refresh()
             await self.checked()
 
         async def set_runs(e: events.ValueChangeEventArguments) -> None:
-            part.table["runs"] = list(e.value)
+            part["runs"] = list(e.value)
             await self.checked()
 
         ways = {one: one for one in (USUAL_WAYS[section], *KEYS_OF_WAYS, NOTHING)}
         if USUAL in ways and len(runs) < 3:
             ways[USUAL] = "nothing, as there are few runs"
-        choice(label_of(section), ways, part.way, set_way)
-        if part.way == RUNS:
-            chosen = set(listed(part.table.get("runs", ())))
+        choice(label_of(section), ways, part["way"], set_way)
+        if part["way"] == RUNS:
+            chosen = set(listed(part.get("runs", ())))
             field = ui.select(
                 runs,
                 label=label_of(f"{section}.runs"),
@@ -252,8 +260,8 @@ class DataView:
                 on_change=set_runs,
             )
             field.props("dense outlined use-chips").style("min-width: 14em")
-        elif part.way in KEYS_OF_WAYS:
-            fields(part.table, section, KEYS_OF_WAYS[part.way], self.checked)
+        elif part["way"] in KEYS_OF_WAYS:
+            fields(part, section, KEYS_OF_WAYS[part["way"]], self.checked)
 
 
 # ---- part 2: the base model, picked or written, with a live check --------------------
@@ -376,19 +384,23 @@ class ModelView:
             self._parameter(one)
         button("Add a parameter", partial(self._add_parameter, ""), quiet=True)
 
-    def _parameter(self, one: ParameterDraft) -> None:
+    def _parameter(self, one: Content) -> None:
+        is_known = bool(one.get("fixed"))
+        name = str(one.get("name", ""))
+
         async def given() -> None:
-            one.is_assumed = False
+            one["is_assumed"] = False
             await self.checked()
 
         async def renamed() -> None:
+            now = str(one.get("name", ""))
             for key, field in made.items():
-                field.props["label"] = label_of(f"{PARAMETER}.{key}", one.name)
-            removing.props["aria-label"] = f"Remove {one.name or 'this parameter'}"
+                field.props["label"] = label_of(f"{PARAMETER}.{key}", now)
+            removing.props["aria-label"] = f"Remove {now or 'this parameter'}"
             await self.checked()
 
         def set_known(e: events.ValueChangeEventArguments) -> Any:
-            one.let_be_known(bool(e.value))
+            let_be_known(one, bool(e.value))
             return self._redraw_parameters()
 
         def remove() -> Any:
@@ -396,24 +408,24 @@ class ModelView:
             return self._redraw_parameters()
 
         with field_row():
-            key = "value" if one.is_known else "start"
-            made = fields(one.table, PARAMETER, "name", renamed, one.name)
-            made |= fields(one.table, PARAMETER, key, given, one.name)
-            limits = (one.table, PARAMETER, "lower upper unit")
-            made |= fields(*limits, self.checked, one.name)
-            ui.checkbox("known", value=one.is_known).on_value_change(set_known)
+            key = "value" if is_known else "start"
+            made = fields(one, PARAMETER, "name", renamed, name)
+            made |= fields(one, PARAMETER, key, given, name)
+            made |= fields(one, PARAMETER, "lower upper unit", self.checked, name)
+            ui.checkbox("known", value=is_known).on_value_change(set_known)
             removing = ui.button("Remove", on_click=remove).props("flat")
-            removing.props["aria-label"] = f"Remove {one.name or 'this parameter'}"
-            if one.is_assumed:
+            removing.props["aria-label"] = f"Remove {name or 'this parameter'}"
+            if one.get("is_assumed"):
                 place = ui.element("div").style(STAYING_PLACE)
                 with place, ui.row().classes("items-center") as row:
-                    said = f"{one.words} is an assumption: enter your value, or"
+                    words = parameter_words(one)
+                    said = f"{words} is an assumption: enter your value, or"
                     ui.label(said).classes("bad")
-                    button(f"Confirm {one.words}", given, quiet=True).props("dense")
+                    button(f"Confirm {words}", given, quiet=True).props("dense")
                 row.bind_visibility_from(one, "is_assumed")
 
     async def _add_parameter(self, name: str) -> None:
-        self._draft.parameters.append(ParameterDraft.of(name, {}))
+        self._draft.parameters.append(parameter_of(name, {}))
         await self._redraw_parameters()
 
     async def _redraw_parameters(self) -> None:

@@ -19,16 +19,14 @@ from phsi_opt.data.file_opening import NamedFile
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.numbers import shortened
-from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME, UNUSED
+from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME, UNUSED, Column
 from phsi_opt.study_file.gallery import BaseModel, give_parts, with_units
 from phsi_opt.study_file.keys import (
-    KEYS_OF,
     Complaints,
     TooManyComplaintsError,
     listed,
     usable,
 )
-from phsi_opt.study_file.sections import without
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.study_text import text_of
 from phsi_opt.study_file.survey import check_alike, survey
@@ -38,8 +36,6 @@ Content = dict[str, Any]
 
 PARTS_OF_COLUMNS = (TIME, RUN, STATE, INPUT, UNUSED)  # that a column may be
 CHANNELS = {STATE: "states", INPUT: "inputs"}  # sections of [data]
-# Where a study file has the keys of a column that is this part.
-KEYS_OF_PARTS = {TIME: "data.time", STATE: "data.states.*", INPUT: "data.inputs.*"}
 KEYS_OF_COLUMNS = ("files", "trajectory", "time", *CHANNELS.values())
 
 NOTHING = "nothing"
@@ -119,68 +115,12 @@ def _without(table: Mapping[str, Any], *keys: str) -> Content:
 # ---- the measurements ----------------------------------------------------------------
 
 
-@dataclass
-class ColumnDraft:
-    """One column of the table and what it is."""
-
-    # its header, its position where there is none, or those of date and time of day
-    column: str | int | tuple[str, ...]
-    part: str = UNUSED  # one of ``PARTS_OF_COLUMNS``
-    # That of the study file, and the name; also what its cells tell of it as another
-    # part: an input that is held, dates of a time.
-    table: Content = field(default_factory=dict)
-    examples: tuple[str, ...] = ()  # its first cells
-    is_numeric: bool = True  # whether it holds numbers; else it can only name runs
-    may_be_input: bool = False  # whether it is a state only for want of a better guess
-    # Which part it is to the user, where the base model has no place for it.
-    lost: str = ""
-
-    @property
-    def name(self) -> str:
-        """In formulas; "" where it has none."""
-        return str(self.table.get("name", ""))
-
-    @name.setter
-    def name(self, name: str) -> None:
-        self.table["name"] = name
-
-    @property
-    def title(self) -> str:
-        """Its header, or those from which it is put together."""
-        return " + ".join(map(str, listed(self.column)))
-
-    @property
-    def unit(self) -> str:
-        """Such as "m"; "" where it is unknown."""
-        return str(self.table.get("unit", ""))
-
-    def content(self) -> Content:
-        """What a study file says of it as the part that it is."""
-        known = {
-            key: self.table.get(key, "") for key in KEYS_OF[KEYS_OF_PARTS[self.part]]
-        }
-        return without({**known, "column": self.column}, "")
-
-
-@dataclass
-class PartDraft:
-    """The measurements that are held out, or kept for the end."""
-
-    way: str  # in which they are chosen
-    table: Content = field(default_factory=dict)  # the section, of each way
-
-    @classmethod
-    def of(cls, section: str, told: Mapping[str, Any]) -> "PartDraft":
-        found = [way for way, key in KEYS_OF_WAYS.items() if key in told]
-        if told.get("runs") == []:
-            found = [NOTHING]
-        return cls((found or [USUAL_WAYS[section]])[0], dict(told))
-
-    def content(self, section: str) -> Content:
-        if self.way in KEYS_OF_WAYS:
-            key = KEYS_OF_WAYS[self.way]
-            return {key: self.table.get(key, "")}
-        return {} if self.way == USUAL_WAYS[section] else {"runs": []}
+def way_of(section: str, told: Mapping[str, Any]) -> str:
+    """In which way data are held out, or kept for the end, as a study file says it."""
+    if told.get("runs") == []:
+        return NOTHING
+    found = (way for way, key in KEYS_OF_WAYS.items() if key in told)
+    return next(found, USUAL_WAYS[section])
 
 
 @dataclass
@@ -188,15 +128,15 @@ class DataDraft:
     """The files and their columns."""
 
     places: dict[str, Path]  # where each file lies, by the name that its owner gave it
-    columns: list[ColumnDraft] = field(default_factory=list)  # of the table
+    columns: list[Column] = field(default_factory=list)  # of the table
     n_samples: int = 0  # lines of numbers, of all files
     # Names that the column of runs holds, or those of the files.
     runs: list[str] = field(default_factory=list)
-    # By the section: one of ``USUAL_WAYS``.
-    parts: dict[str, PartDraft] = field(
+    # The sections of ``USUAL_WAYS``, each with the way in which its data are chosen.
+    parts: dict[str, Content] = field(
         default_factory=lambda: {
-            "held_out": PartDraft(SHARE, {"share": 0.3}),
-            "final": PartDraft(USUAL),
+            "held_out": {"way": SHARE, "share": 0.3},
+            "final": {"way": USUAL},
         }
     )
     # Keys of [data] that are no columns, such as ``thinned``.
@@ -238,19 +178,19 @@ class DataDraft:
                 if isinstance(source, list):  # date and time of day
                     source = tuple(source)
                 if source not in by_column:
-                    by_column[source] = ColumnDraft(source)
+                    by_column[source] = Column(source)
                     draft.columns.append(by_column[source])
-                by_column[source].part = part
-                by_column[source].table = {**table, "name": name}
+                by_column[source].take(part, {**table, "name": name})
             elif part == TIME:
                 draft.time = dict(table)
             else:
                 draft.unmeasured[name] = table.get("unit", "")
         for section in USUAL_WAYS:
-            draft.parts[section] = PartDraft.of(section, content.get(section, {}))
+            part = content.get(section, {})
+            draft.parts[section] = {"way": way_of(section, part), **part}
         return draft
 
-    def of_part(self, part: str) -> list[ColumnDraft]:
+    def of_part(self, part: str) -> list[Column]:
         return [column for column in self.columns if column.part == part]
 
     def content(self, states: list[str]) -> Content:
@@ -266,7 +206,9 @@ class DataDraft:
             content["time"] = column.content()
         for part, section in CHANNELS.items():
             columns = self.of_part(part)
-            content[section] = {one.name or one.title: one.content() for one in columns}
+            content[section] = {
+                one.name or one.heading: one.content() for one in columns
+            }
         for name in states:
             unit = self.unmeasured.get(name, "")
             lacking = {"measured": False, **({"unit": unit} if unit else {})}
@@ -279,8 +221,8 @@ class DataDraft:
         self.runs = found.runs
         self.n_samples = found.n_samples
         for part in self.parts.values():
-            runs = listed(part.table.get("runs", ()))
-            part.table["runs"] = [run for run in runs if run in found.runs]
+            runs = listed(part.get("runs", ()))
+            part["runs"] = [run for run in runs if run in found.runs]
 
 
 def sheet_of(settings: Mapping[str, Any]) -> str | None:
@@ -309,11 +251,7 @@ def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
     draft.runs = list(dict.fromkeys(draft.runs))
     draft.sheets = seen[0].table.sheets
     draft.settings = {one.key: one.content for one in seen[0].read if one.is_set}
-    for column in seen[0].columns:
-        examples = tuple(column.cells[:3])
-        told = without(column.content, "")
-        known = (told, examples, column.is_numeric, column.may_be_input)
-        draft.columns.append(ColumnDraft(column.source, column.part, *known))
+    draft.columns = [column.without_cells() for column in seen[0].columns]
     return draft
 
 
@@ -347,43 +285,29 @@ def refusal_of(name: str, n_bytes: int) -> str:
 # ---- the model -----------------------------------------------------------------------
 
 
-@dataclass
-class ParameterDraft:
-    """A number of the formulas."""
+def parameter_of(name: str, told: Any) -> Content:
+    """A number of the formulas: its table in a study file, and its name."""
+    table = told if isinstance(told, Mapping) else {"value": told}
+    known = {"fixed": True} if "value" in table else {}
+    return {"name": name, **table, **known}
 
-    table: Content  # that of the study file, and the name
-    # Whether a known value is the gallery's, and not the user's.
-    is_assumed: bool = False
 
-    @classmethod
-    def of(cls, name: str, content: Any) -> "ParameterDraft":
-        told = content if isinstance(content, Mapping) else {"value": content}
-        known = {"fixed": True} if "value" in told else {}
-        return cls({"name": name, **told, **known})
+def let_be_known(parameter: Content, is_known: bool) -> None:
+    """Let the number be known, or where the search begins."""
+    number = parameter.pop("start", None)
+    number = parameter.pop("value", number)
+    parameter.pop("fixed", None)
+    if is_known:
+        parameter["fixed"] = True
+    if number is not None:
+        parameter["value" if is_known else "start"] = number
 
-    @property
-    def name(self) -> str:
-        return str(self.table.get("name", ""))
 
-    @property
-    def is_known(self) -> bool:
-        """Whether it is not estimated."""
-        return bool(self.table.get("fixed", False))
-
-    @property
-    def words(self) -> str:
-        """Such as "m = 1 kg"."""
-        value = value_text(self.table.get("value", ""))
-        return f"{self.name} = {value} {self.table.get('unit', '')}".rstrip()
-
-    def let_be_known(self, is_known: bool) -> None:
-        """Let the number be known, or where the search begins."""
-        number = self.table.get("value", self.table.get("start"))
-        self.table = _without(self.table, "value", "start", "fixed")
-        if is_known:
-            self.table["fixed"] = True
-        if number is not None:
-            self.table["value" if is_known else "start"] = number
+def parameter_words(parameter: Content) -> str:
+    """Such as "m = 1 kg"."""
+    value = value_text(parameter.get("value", ""))
+    unit = parameter.get("unit", "")
+    return f"{parameter.get('name', '')} = {value} {unit}".rstrip()
 
 
 @dataclass
@@ -392,7 +316,9 @@ class ModelDraft:
 
     # The section [model]; R and F are there, perhaps empty.
     table: Content = field(default_factory=lambda: {"R": {}, "F": {}})
-    parameters: list[ParameterDraft] = field(default_factory=list)  # in their order
+    # In their order, each with its name and whether its value is the gallery's, not
+    # the user's.
+    parameters: list[Content] = field(default_factory=list)
     # Name of the entry of the gallery that it came from; "" where it is written.
     title: str = ""
 
@@ -401,7 +327,7 @@ class ModelDraft:
         cls, content: Mapping[str, Any], parameters: Mapping[str, Any], title: str = ""
     ) -> "ModelDraft":
         slots = {slot: dict(content.get(slot, {})) for slot in "RF"}
-        rows = [ParameterDraft.of(*one) for one in parameters.items()]
+        rows = [parameter_of(*one) for one in parameters.items()]
         return cls({**content, **slots}, rows, title)
 
     @property
@@ -481,8 +407,13 @@ class StudyDraft:
         if self.data is not None:
             content["data"] = self.data.content(self.model.names("states"))
             for name, part in self.data.parts.items():
-                content[name] = part.content(name)
-        named = {one.name: _without(one.table, "name") for one in self.model.parameters}
+                key = KEYS_OF_WAYS.get(part["way"], "runs")
+                is_usual = part["way"] == USUAL_WAYS[name]
+                kept = [] if part["way"] == NOTHING else part.get(key, "")
+                content[name] = {} if is_usual else {key: kept}
+        named = {}
+        for one in self.model.parameters:
+            named[one.get("name", "")] = _without(one, "name", "is_assumed")
         content["parameters"] = _without(named, "")
         return content
 
@@ -495,7 +426,7 @@ def draft_of(base: BaseModel, data: DataDraft | None) -> ModelDraft:
     inputs = [one.name for one in data.of_part(INPUT)] if data else []
     draft = ModelDraft.of(*base.sections(inputs), base.name)
     for one in draft.parameters:
-        one.is_assumed = one.is_known
+        one["is_assumed"] = bool(one.get("fixed"))
     return draft
 
 
@@ -520,9 +451,9 @@ def match_states(data: DataDraft, base: BaseModel) -> BaseModel:
     return base
 
 
-def left_over(columns: Sequence[ColumnDraft], base: BaseModel) -> str:
+def left_over(columns: Sequence[Column], base: BaseModel) -> str:
     """Which columns have no place in a base model, in a sentence; "": all have."""
-    left = {one.title: one.unit for one in columns if one.lost}
+    left = {one.heading: one.unit for one in columns if one.lost}
     verb = "fits" if len(left) == 1 else "fit"
     said = (
         f"{with_units(left)} {verb} no state or input of {base.title} ({base.names}) "

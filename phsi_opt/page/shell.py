@@ -22,6 +22,7 @@ from phsi_opt.page.draft_views import (
     DataView,
     ModelView,
 )
+from phsi_opt.page.drafts import parameter_words
 from phsi_opt.page.parts import alert, button, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
@@ -276,7 +277,7 @@ def _what_next(session: Session) -> str:
         return f"Still to correct: {len(session.complaints)}, see part 2."
     said = "Data and model are valid: press Fit."
     parameters = session.draft.model.parameters
-    assumed = [one.words for one in parameters if one.is_assumed]
+    assumed = [parameter_words(one) for one in parameters if one.get("is_assumed")]
     if assumed:
         said += f" Assumed, not measured: {', '.join(assumed)}."
     return said

@@ -1,12 +1,12 @@
-"""A look at one column: whether its cells are numbers, and what it may be.
+"""A column of a table: what it is, and a look at its cells, which tells what it may be.
 
 A column is meant to be numeric where most of its cells are numbers: then a cell that is
 none is a mistake in the file, and it is reported with its line.
 """
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -23,12 +23,16 @@ from phsi_opt.data.times import (
 from phsi_opt.data.trajectory import is_stepped
 from phsi_opt.errors import DataError
 from phsi_opt.presentation.numbers import number_of, shortened
+from phsi_opt.study_file.keys import KEYS_OF, listed
+from phsi_opt.study_file.sections import without
 
 TIME = "time"
 RUN = "run"
 STATE = "state"
 INPUT = "input"
 UNUSED = "left out"
+# Where a study file has the keys of a column that is this part.
+KEYS_OF_PARTS = {TIME: "data.time", STATE: "data.states.*", INPUT: "data.inputs.*"}
 PERHAPS_INPUT = "perhaps an input"
 DATES = "dates"
 MOSTLY = 0.5  # share of the filled cells above which a column is of numbers, or dates
@@ -43,31 +47,73 @@ DATE_WORDS = words_in("date datum datetime timestamp zeitstempel")
 COUNTER_WORDS = words_in("no nr number sample index count scan row line point")
 
 
-@dataclass(eq=False, kw_only=True)
+@dataclass(kw_only=True)
 class Column(Header):
-    """A column as it was seen, and what it may be; all its arrays are (n_lines,)."""
+    """A column and what it is, as was guessed or as a user says.
+
+    The names of the keys of a study file are those of the fields. A page, where they
+    are typed, may have any text in them.
+    """
+
+    part: str = UNUSED  # `TIME`, `RUN`, `STATE`, `INPUT` or `UNUSED`
+    name: str = ""  # what it is called in formulas; "" where it is in none
+    # how dates are written, in the signs of strptime, where it is not as in ISO 8601;
+    # "" where it is, or where the cells do not tell
+    date_format: str = ""
+    # "zero" where it is constant between jumps, as an input that is held; else ""
+    hold: str = ""
+    clock: str = ""  # the column of its own times; "": those of the others
+    # What a user says of a state, and of a time that has dates; "": nothing.
+    noise: float | str = ""
+    measured: bool | str = ""
+    start: str = ""
+    examples: tuple[str, ...] = ()  # its first cells
+    is_numeric: bool = True  # whether most of its cells are numbers
+    # what was seen, in words: its range, missing cells, why it is left out
+    said: str = ""
+    # which part it is to the user, where a base model has no place for it
+    lost: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Its header, or those from which it is put together."""
+        return " + ".join(map(str, listed(self.column)))
+
+    @property
+    def may_be_input(self) -> bool:
+        """Whether it is a state only for want of a better guess."""
+        return self.said.endswith(PERHAPS_INPUT)
+
+    def take(self, part: str, told: Mapping[str, Any]) -> None:
+        """Be a part, of which a study file says this."""
+        self.part = part
+        for key in ("name", "unit", *TOLD):
+            setattr(self, key, told.get(key, ""))
+
+    def content(self) -> dict[str, Any]:
+        """What a study file says of it as the part that it is."""
+        keys = KEYS_OF[KEYS_OF_PARTS[self.part]]
+        return without({key: getattr(self, key, "") for key in keys}, "")
+
+
+TOLD = ("date_format", "hold", "clock", "noise", "measured", "start")
+
+
+@dataclass(eq=False, kw_only=True)
+class SeenColumn(Column):
+    """A column with its cells; all its arrays are (n_lines,)."""
 
     cells: pd.Series  # its cells as text, (n_lines,)
     is_missing: np.ndarray  # which cells are empty, (n_lines,)
     # (n_lines,), NaN where missing or wrong; None: nothing of numbers can be made of
     # it, or they are always the same
     values: np.ndarray | None = None
-    is_numeric: bool = False  # whether most of its cells are numbers
-    # how dates are written, in the signs of strptime, where it is not as in ISO 8601;
-    # "" where it is, or where the cells do not tell
-    date_format: str = ""
+    is_numeric: bool = False
     other_format: str = ""  # which the dates fit as well
-    # what was seen, in words: its range, missing cells, why it is left out
-    said: str = ""
     # the first cell that cannot be used, with its line; "" where none is
     wrong: str = ""
-    part: str = UNUSED  # `TIME`, `RUN`, `STATE`, `INPUT` or `UNUSED`
-    name: str = ""  # what it could be called in formulas; "" where it is in none
     # columns of the time of day and of milliseconds, beside one of dates
     further: tuple[str, ...] = ()
-    # "zero" where it is constant between jumps, as an input that is held; else ""
-    hold: str = ""
-    clock: str = ""  # the column of its own times; "": those of the others
 
     @property
     def remark(self) -> str:
@@ -103,14 +149,16 @@ class Column(Header):
         return self.values is not None and bool(np.all(np.diff(self.values) == 1))
 
     @property
-    def content(self) -> dict[str, Any]:
+    def answer(self) -> dict[str, Any]:
         """What JSON has of it."""
         keys = ("column", "part", "name", "unit", "date_format", "hold", "clock")
         return {key: getattr(self, key) for key in (*keys, "said", "wrong")}
 
-    @property
-    def may_be_input(self) -> bool:
-        return self.said.endswith(PERHAPS_INPUT)
+    def without_cells(self) -> Column:
+        """The same for a user to correct."""
+        kept = {one.name: getattr(self, one.name) for one in fields(Column)}
+        examples = tuple(self.cells[:3])
+        return Column(**{**kept, "column": self.source, "examples": examples})
 
     def take_dates_of(self, cells: pd.Series) -> None:
         """Say how texts are dates: of what fits, where they lie closest together."""
@@ -183,7 +231,7 @@ class Column(Header):
         return "" if self.values is None else rounded_step(self.values)
 
 
-def columns_of(table: Table) -> list[Column]:
+def columns_of(table: Table) -> list[SeenColumn]:
     """All columns of a table, in its order."""
     headers = list(map(str, table.frame.columns))
     columns = []
@@ -196,13 +244,13 @@ def columns_of(table: Table) -> list[Column]:
         is_missing = cells.str.lower().isin(MISSING_CELLS).to_numpy()
         words = vars(Header.of(header))
         words["unit"] = table.units.get(header) or words["unit"]
-        column = Column(**words, cells=cells, is_missing=is_missing)
+        column = SeenColumn(**words, cells=cells, is_missing=is_missing)
         column.said = _look_at(column, table, headers.count(header))
         columns.append(column)
     return columns
 
 
-def _look_at(column: Column, table: Table, n_of_this_name: int) -> str:
+def _look_at(column: SeenColumn, table: Table, n_of_this_name: int) -> str:
     """Find the values of a column; what was seen, in words."""
     filled = ~column.is_missing
     numbers = pd.to_numeric(column.cells.where(filled), errors="coerce").to_numpy(float)
@@ -231,7 +279,7 @@ def _look_at(column: Column, table: Table, n_of_this_name: int) -> str:
     return f"{low:.4g} to {high:.4g}{missing if column.n_missing else ''}"
 
 
-def _format_of_numbers(column: Column, values: np.ndarray) -> str:
+def _format_of_numbers(column: SeenColumn, values: np.ndarray) -> str:
     """How numbers are dates; days are, where the header says so."""
     clock = clock_of(values) if column.is_time and not column.unit else ""
     if clock == "excel" and not column.has_one_of(DATE_WORDS):
@@ -257,7 +305,7 @@ def _shown(cell: str) -> str:
     return f'"{shortened(" ".join(cell.split()), 20)}"'
 
 
-def _look_at_texts(column: Column) -> str:
+def _look_at_texts(column: SeenColumn) -> str:
     """What is in a column of dates, or of texts, which are left out."""
     cells = column.cells[~column.is_missing]
     some = cells[:50]  # more would tell nothing else

@@ -41,7 +41,7 @@ from phsi_opt.study_file.columns import (
     STATE,
     TIME,
     UNUSED,
-    Column,
+    SeenColumn,
     columns_of,
     fault_of,
 )
@@ -86,13 +86,13 @@ class TableSurvey:
     # as it was read; its ``remark`` tells a guessed encoding, ``further`` what a MATLAB
     # file holds beside the columns
     table: Table
-    columns: list[Column]  # in the order of the table
-    run: Column | None  # the column that names each line's run; None: there is none
-    time: Column | None  # the column of the times; None: there is none
+    columns: list[SeenColumn]  # in the order of the table
+    run: SeenColumn | None  # the column that names each line's run; None: there is none
+    time: SeenColumn | None  # the column of the times; None: there is none
     step: float | None  # the time between samples, where no column has the times
     rows: list[np.ndarray]  # those of each run that the column names
 
-    def of_part(self, part: str) -> list[Column]:
+    def of_part(self, part: str) -> list[SeenColumn]:
         return [column for column in self.columns if column.part == part]
 
     @property
@@ -251,7 +251,9 @@ def survey(path: DataFile, part: str | None = None) -> TableSurvey:
     return seen
 
 
-def check_alike(first: Sequence[Column], other: Sequence[Column], file: str) -> None:
+def check_alike(
+    first: Sequence[SeenColumn], other: Sequence[SeenColumn], file: str
+) -> None:
     """Refuse a further file that is no further run of the same measurement.
 
     Raises:
@@ -266,7 +268,7 @@ def check_alike(first: Sequence[Column], other: Sequence[Column], file: str) -> 
         )
 
 
-def _is_run(one: Column) -> bool:
+def _is_run(one: SeenColumn) -> bool:
     """Whether it names each line's run; then it says so."""
     n_different = one.cells[~one.is_missing].nunique()
     is_few = 1 < n_different <= len(one.cells) / 3
@@ -276,7 +278,7 @@ def _is_run(one: Column) -> bool:
     return True
 
 
-def _run_by_times(columns: list[Column]) -> Column | None:
+def _run_by_times(columns: list[SeenColumn]) -> SeenColumn | None:
     """The column that changes just where the times begin anew, whatever its name."""
     times = [one.values for one in columns if one.is_time and one.values is not None]
     for values in times[:1]:
@@ -289,8 +291,8 @@ def _run_by_times(columns: list[Column]) -> Column | None:
 
 
 def _time(
-    table: Table, others: list[Column], runs: list[np.ndarray], step: float | None
-) -> Column | None:
+    table: Table, others: list[SeenColumn], runs: list[np.ndarray], step: float | None
+) -> SeenColumn | None:
     """What increases, or has dates; of several columns what is called the time.
 
     Without one: what is called so and is wrong, or what was rounded until times are
@@ -299,7 +301,7 @@ def _time(
     usable = [one for one in others if one.values is not None or one.is_dates]
     named = [one for one in usable if one.is_time]
 
-    def why_wrong(one: Column) -> str:
+    def why_wrong(one: SeenColumn) -> str:
         return fault_of(table, partial(times_in, table, one.column, runs))
 
     for one in (*named, *usable):
@@ -317,7 +319,7 @@ def _time(
     return None
 
 
-def _put_together(time: Column, others: list[Column]) -> None:
+def _put_together(time: SeenColumn, others: list[SeenColumn]) -> None:
     """Add the columns of the time of day and of milliseconds to one of dates."""
     if not time.is_dates or len(time.cells.unique()) == len(time.cells):
         return
@@ -332,7 +334,7 @@ def _put_together(time: Column, others: list[Column]) -> None:
 
 
 def _find_other_clocks(
-    time: Column, others: list[Column], runs: list[np.ndarray]
+    time: SeenColumn, others: list[SeenColumn], runs: list[np.ndarray]
 ) -> None:
     """Note the channels that follow another clock than the times."""
     clock = None
@@ -363,7 +365,10 @@ def _runs_alike(times: np.ndarray | None, other: np.ndarray) -> bool:
 
 
 def _take_part(
-    one: Column, time: Column | None, run: Column | None, of_step: Column | None
+    one: SeenColumn,
+    time: SeenColumn | None,
+    run: SeenColumn | None,
+    of_step: SeenColumn | None,
 ) -> None:
     """Say of a column what it is."""
     if one is time:
