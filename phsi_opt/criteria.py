@@ -20,8 +20,7 @@ MOST_OF_IT = 0.5
 # p-values below which chance is no explanation: of residuals that are not white (all
 # channels together), of trajectories that do not share one noise.
 SURE_LEVEL = 1e-3
-# And below which chance is a poor one: of trajectories that differ by noise alone, of a
-# peak in the spectrum of a force.
+# And below which chance is a poor one: of trajectories that differ by noise alone.
 CHANCE_LEVEL = 0.05
 # Standard deviations by which a size differs from zero where it is surely there.
 SURE_DEVIATIONS = 2.0

@@ -99,7 +99,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     press_fit(page)
     said = facts(page)
     assert NAMED.search(said)
-    assert "In the force on q (dp/dt)" in said
+    assert "In dp/dt." in said
     assert re.search("(strongest|most clearly visible) at t = ", said)
     assert "dp/dt lacks a force of" in said
     assert f"{CALLED} (" in said

@@ -43,14 +43,6 @@ from phsi_opt.statistics import TINY
 if TYPE_CHECKING:
     import pandas as pd
 
-# Rank correlation above which an effort is a monotone function of a state, and is not
-# named beside it.
-MONOTONE_RANK_CORRELATION = 0.9999
-# Singular values, as a share of the largest, below which functions count as dependent.
-LEAST_SINGULAR_VALUE = 1e-6
-SECOND_CAUSE = 0.2  # beside a stronger cause
-TIED_CAUSES = 0.05  # difference up to which two causes are alike
-
 TIME_NAME = "t"
 # Rows of the table that are no variables.
 CONSTANT = "constant"
@@ -125,7 +117,7 @@ def variables(force: Force) -> list[str]:
     for name in varying(record.model.efforts):
         ranks = _ranks(record.variable(name))
         alike = max((abs(ranks @ other) for other in known), default=0.0)
-        if not alike > MONOTONE_RANK_CORRELATION:
+        if not alike > 0.9999:  # of rank correlations
             efforts.append(name)
             known.append(ranks)
     pairs = sorted(combinations(states, 2), key=lambda ab: force.equation not in ab)
@@ -150,10 +142,11 @@ def without_parameters(force: Force, variable: str) -> np.ndarray:
     """
     slopes = force.by_parameters
     functions = _functions(force, variable)
-    of_slopes = np.linalg.lstsq(functions, slopes, rcond=LEAST_SINGULAR_VALUE)[0]
-    independent = slopes - functions @ of_slopes
+    # Of smaller singular values, beside the largest, functions count as dependent.
+    solved = partial(np.linalg.lstsq, rcond=1e-6)
+    independent = slopes - functions @ solved(functions, slopes)[0]
     joint = np.hstack([functions, independent])
-    coefficients = np.linalg.lstsq(joint, force.w, rcond=LEAST_SINGULAR_VALUE)[0]
+    coefficients = solved(joint, force.w)[0]
     return force.w - independent @ coefficients[functions.shape[1] :]
 
 
@@ -180,11 +173,10 @@ class Causes:
 
     Contributions are the part of the force's mean square that each cause adds to the
     stronger ones, strongest first, after the model's parameters; further causes are
-    there while they add a fifth. Gains are what each adds to the parameters alone.
+    there while they add a fifth.
     """
 
     contributions: Mapping[str, float]
-    gains: Mapping[str, float]
     goes_together: bool = False  # inputs and effort, as beside a controller
 
     @property
@@ -203,36 +195,23 @@ class Causes:
         found = self.contributions.items()
         return [cause for cause, share in found if share > least[cause]]
 
-    @property
-    def first(self) -> str:
-        """The strongest cause beside the parameters, where it is worth naming."""
-        first = next((cause for cause in self.contributions if cause in CAUSES), "")
-        return first if first in self.named else ""
-
-    @property
-    def alike(self) -> list[str]:
-        """The other causes that would explain as much as the first one."""
-        if self.first in ("", "constant"):
-            return []
-        least = self.gains[self.first] - TIED_CAUSES
-        others = [cause for cause, gain in self.gains.items() if gain > least]
-        return [cause for cause in others if cause not in self.contributions]
-
 
 def causes_of(force: Force) -> Causes:
     """Whether a force w dissipates power w dH/dx, conserves it, or is driven."""
     bases = _bases(force)
-    least = _share(force, bases, [PARAMETERS])
-    contributions = {PARAMETERS: least}
-    shares = _shares_beside(force, bases, contributions)
-    gains = {cause: share - least for cause, share in shares.items()}
-    strongest = _strongest(shares, least)
-    while strongest is not None:
-        contributions[strongest] = shares[strongest] - sum(contributions.values())
+    contributions: dict[str, float] = {PARAMETERS: _share(force, bases, [PARAMETERS])}
+    second = 0.0  # what a cause has to add beside a stronger one
+    while True:
+        known = sum(contributions.values())
         shares = _shares_beside(force, bases, contributions)
-        strongest = _strongest(shares, sum(contributions.values()) + SECOND_CAUSE)
-    causes = Causes(contributions, gains)
-    is_driven = causes.first == "inputs" and "dissipated" not in contributions
+        strongest = _strongest(shares, known + second)
+        if strongest is None:
+            break
+        contributions[strongest] = shares[strongest] - known
+        second = 0.2
+    causes = Causes(contributions)
+    is_driven = list(contributions)[1:2] == ["inputs"] and "inputs" in causes.named
+    is_driven = is_driven and "dissipated" not in contributions
     return replace(causes, goes_together=is_driven and _is_closed_loop(force))
 
 
@@ -281,11 +260,9 @@ def _shares_beside(
 
 def _strongest(shares: Mapping[str, float], least: float) -> str | None:
     """The cause of the largest share, the first of those that are as good."""
-    best = max(shares.values(), default=0.0)
-    for cause, share in shares.items():
-        if share > least and share >= best - TIED_CAUSES / 2:
-            return cause
-    return None
+    as_good = max(shares.values(), default=0.0) - 0.025
+    good = (one for one, share in shares.items() if share > least and share >= as_good)
+    return next(good, None)
 
 
 def _is_closed_loop(force: Force) -> bool:

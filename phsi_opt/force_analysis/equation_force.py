@@ -2,7 +2,7 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,6 @@ import numpy as np
 
 from phsi_opt.criteria import (
     CERTAIN_FORCE,
-    CLEAR_PATTERN,
     MOST_OF_IT,
     NAMED_CAUSE,
     SURE_DEVIATIONS,
@@ -22,13 +21,10 @@ from phsi_opt.force_analysis.dependence import (
     TIME_NAME,
     causes_of,
     dependence,
-    leading,
 )
 from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.localization import (
     Pace,
-    Region,
-    region_words,
     strong_ranges,
     strongest_window,
 )
@@ -62,7 +58,6 @@ BODIES = ("position", "velocity of")
 NAMES_OF_PAIRS: dict[str, tuple[str, str]] = defaultdict(lambda: BODIES)
 NAMES_OF_PAIRS[HYDRAULIC] = ("volume", "flow of")
 NAMES_OF_PAIRS[ELECTRICAL] = ("charge", "current of")
-EVERYWHERE = "everywhere"  # the region where none stands out
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +67,12 @@ class EquationForce(Force):
     @cached_property
     def where(self) -> dict[str, Any]:
         """The equation's row of `ForceAnalysis.where`."""
+        region = [f"{one} {' or '.join(told)}" for one, told in self.region.items()]
         return {
             "equation": self.equation,
             "trajectory": self.window.trajectory,
             "time_window": self.window.words(scale_of(self.record.units.get("t", ""))),
-            "state_region": region_words(self.region) or EVERYWHERE,
+            "state_region": ", ".join(region) or "everywhere",
             "frequency": self.pace.frequency,
             "strength": rms(self.w) / self.scale.size,
             "unit": self.scale.unit,
@@ -98,13 +94,10 @@ class EquationForce(Force):
         return f"{told} ({dates})" if dates else told
 
     @cached_property
-    def region(self) -> Region:
-        return self.region_among(self.record.model.states)
-
-    def region_among(self, names: Iterable[str]) -> Region:
-        """Ranges of variables in which it is strong; of those where any stands out."""
+    def region(self) -> Mapping[str, list[str]]:
+        """Ranges of states in which it is strong; of those where any stands out."""
         region = {}
-        for name in names:
+        for name in self.record.model.states:
             ranges = strong_ranges(self.told(name), self.w)
             if ranges and name not in self.record.model.memory:
                 region[name] = ranges
@@ -144,36 +137,28 @@ class EquationForce(Force):
         """Whether its band excludes zero in an interval, (n_intervals,)."""
         return np.abs(self.w) > SURE_DEVIATIONS * self.deviation
 
-    @property
-    def is_constant(self) -> bool:
-        """Whether the mean predicts most of the force, and better than any variable."""
-        best = self.follows.iloc[0]
-        return bool(best["variable"] == CONSTANT and best["share"] > MOST_OF_IT)
-
     def share_of(self, variable: str) -> float:
+        """The share of its variance that a variable, or the mean, predicts."""
         return float(self.follows.set_index("variable")["share"][variable])
 
     @property
     def single_variable(self) -> str:
         """The variable (no pair) that predicts the force best, time only if clearly."""
+        best = self.follows.iloc[0]
+        if best["variable"] == CONSTANT and best["share"] > MOST_OF_IT:
+            return TIME_NAME
         rows = self.follows[~self.follows["variable"].str.contains(",")]
         rows = rows[~rows["variable"].isin(NO_VARIABLES)]
         good = rows["variable"][rows["share"] > rows["share"].iloc[0] - NAMED_CAUSE]
-        others = [] if self.is_constant else good[good != TIME_NAME].tolist()
-        return str((others or [TIME_NAME])[0])
+        return str([*good[good != TIME_NAME], TIME_NAME][0])
 
     @property
     def map_variables(self) -> list[str]:
-        """Position and velocity of a momentum, or the best states, for a map."""
-        states = self.record.model.states
-        usual = [name for name in self.follows["variable"] if name in states][:2]
+        """Position and velocity of a momentum, or else the best states, for a map."""
         if self.position:
-            usual = [self.position, f"dH_d{self.equation}"]
-        best = leading(self.follows)
-        if best is None or "," not in best["variable"] or best["share"] < CLEAR_PATTERN:
-            return usual
-        pair: list[str] = best["variable"].split(", ")
-        return usual if {self.equation, usual[0]} <= set(pair) else pair
+            return [self.position, f"dH_d{self.equation}"]
+        states = self.record.model.states
+        return [name for name in self.follows["variable"] if name in states][:2]
 
     @cached_property
     def inertia(self) -> str:
@@ -205,11 +190,6 @@ class EquationForce(Force):
         """What is missing, such as a force, a voltage or a heat flow."""
         record = self.record
         return lacking_quantity(record.model, self.equation, record.units, self.inertia)
-
-    @property
-    def strongest_run(self) -> int:
-        """Number of the trajectory in which the force is strongest."""
-        return self.record.along.runs.index(self.window.trajectory)
 
     @property
     def position(self) -> str:

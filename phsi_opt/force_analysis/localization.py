@@ -7,7 +7,7 @@ shakes what is measured, takes a large rate to be seen at all, and hides what be
 motion itself.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,17 +20,6 @@ from phsi_opt.force_analysis.waves import spectrum
 from phsi_opt.presentation.numbers import decimal, number, range_words
 from phsi_opt.presentation.units import Scale, frequency_words
 from phsi_opt.statistics import TINY, rms, stretches
-
-# Factor on the size of a force in the whole record from which a part stands out.
-OUTSTANDING_FORCE = 1.3
-# Share of the record in a bin of a state above which the bin was visited.
-VISITED_BIN = 0.02
-# Ranges of one state in which a force is strong, at most: one, or both ends; strong in
-# more of them it follows no region of that state.
-MOST_STRONG_RANGES = 2
-N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
-# Times the frequency of the motion from which a force is a vibration beside it.
-VIBRATION = 10.0
 
 
 @dataclass(frozen=True)
@@ -48,14 +37,14 @@ class Window:
         return f"{' to '.join(ends)}{' (throughout)' if self.is_whole else ''}"
 
 
-def strongest_window(force: Force) -> Window:
+def strongest_window(force: Force, n_windows: int = 10) -> Window:
     """The tenth of a trajectory where a force is strongest, or else all of that."""
     record = force.record
-    part = stretches(record.run, N_WINDOWS)
+    part = stretches(record.run, n_windows)
     size = _rms_in_parts(force.w, part, int(part.max()) + 1)
     strongest = int(np.argmax(size))
-    run = strongest // N_WINDOWS
-    is_whole = bool(size[strongest] <= OUTSTANDING_FORCE * rms(force.w))
+    run = strongest // n_windows
+    is_whole = not _stands_out(size, force.w)[strongest]
     inside = np.flatnonzero(record.run == run if is_whole else part == strongest)
     half = record.estimate.grid.h / 2
     begin = record.t[inside[0]] - half[inside[0]]
@@ -70,6 +59,11 @@ def _rms_in_parts(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:
     return np.sqrt(squares / np.maximum(count, 1))
 
 
+def _stands_out(size: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Whether the size of a force in each part is clearly larger than in the whole."""
+    return size > 1.3 * rms(w)
+
+
 def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[str]:
     """Ranges of a variable, "begin to end", in which a force is strong, if any."""
     low, high = np.quantile(z, OUTER_QUANTILES)
@@ -78,24 +72,14 @@ def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[str]:
     if n_bins < 1:
         return []
     part = np.clip(np.searchsorted(edges, z) - 1, 0, n_bins - 1)
-    is_visited = np.bincount(part, minlength=n_bins) > VISITED_BIN * len(w)
-    is_large = _rms_in_parts(w, part, n_bins) > OUTSTANDING_FORCE * rms(w)
-    is_strong = is_visited & is_large
-    # Neighbouring strong bins are one range.
+    is_visited = np.bincount(part, minlength=n_bins) > 0.02 * len(w)
+    is_strong = is_visited & _stands_out(_rms_in_parts(w, part, n_bins), w)
+    # Neighbouring strong bins are one range: one, or both ends; strong in more ranges
+    # of it, the force follows no region of the variable.
     found = scipy.ndimage.find_objects(scipy.ndimage.label(is_strong)[0])
-    if is_strong.all() or len(found) > MOST_STRONG_RANGES:
+    if is_strong.all() or len(found) > 2:
         return []
     return [range_words(edges[bins.start], edges[bins.stop]) for (bins,) in found]
-
-
-# Ranges of the variables, by name, in which a force is strong.
-Region = Mapping[str, Sequence[str]]
-
-
-def region_words(region: Region) -> str:
-    """A region in a table: 'q -1 to -0.6 or 0.7 to 1, p 2 to 3'."""
-    words = [f"{name} {' or '.join(ranges)}" for name, ranges in region.items()]
-    return ", ".join(words)
 
 
 # ---- how fast and how large ----------------------------------------------------------
@@ -134,7 +118,7 @@ class Pace:
         A cycle of it must also be over before the states move: of a motion that is
         mostly slow, what follows its quick parts is no vibration.
         """
-        is_faster = self._times_motion > VIBRATION and self.frequency * self.time > 1
+        is_faster = self.is_faster_than_motion and self.frequency * self.time > 1
         return self.is_near_sampling or is_faster
 
     @property
@@ -148,14 +132,16 @@ class Pace:
         return max(round(1 / (self.frequency * self.interval)), 2)
 
     @property
-    def _times_motion(self) -> float:
-        return self.frequency / self.motion if self.motion > 0 else 0.0
+    def is_faster_than_motion(self) -> bool:
+        """Whether the force is ten times as fast as the motion."""
+        return self.frequency > 10 * self.motion > 0
 
     def speed_words(self, units: Mapping[str, str]) -> str:
         """How fast a vibration is: its frequency beside motion and samples."""
         beside = []
-        if self._times_motion > VIBRATION:
-            beside.append(f"{self._times_motion:.2g} times as fast as the motion")
+        if self.is_faster_than_motion:
+            ratio = self.frequency / self.motion
+            beside.append(f"{ratio:.2g} times as fast as the motion")
         if self.is_near_sampling or not beside:
             beside.append("near the sampling rate")
         return f"{frequency_words(self.frequency, units)}, {' and '.join(beside)}"

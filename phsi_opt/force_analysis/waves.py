@@ -5,8 +5,8 @@ with its second harmonic has a frequency that is sought on the stretches of time
 fit sees, so that it earns nothing by being sought.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy
@@ -16,7 +16,6 @@ from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.statistics import TINY, local_maxima
 
 POINTS_PER_FREQUENCY = 4  # points of a spectrum per resolved frequency
-N_TRIED = 21  # frequencies that are tried about a good one
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,18 +98,9 @@ def _power(z: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
     return fall
 
 
-def _refined(
-    z: np.ndarray, y: np.ndarray, tried: np.ndarray, widths: Sequence[float]
-) -> float:
-    """Frequency of the wave of y along z that fits best."""
-    for width in widths:
-        tried = _near(tried[[np.argmax(_power(z, y, tried))]], width)
-    return float(tried[np.argmax(_power(z, y, tried))])
-
-
-def _near(candidates: np.ndarray, width: float) -> np.ndarray:
+def _near(candidates: np.ndarray, width: float, n_tried: int = 21) -> np.ndarray:
     """Frequencies about the candidates; the candidates if none is positive."""
-    tried = np.add.outer(candidates, width * np.linspace(-1, 1, N_TRIED)).ravel()
+    tried = np.add.outer(candidates, width * np.linspace(-1, 1, n_tried)).ravel()
     is_positive = tried > 0
     return tried[is_positive] if is_positive.any() else candidates
 
@@ -136,15 +126,17 @@ def functions_of_time(force: Force, is_fitted: np.ndarray) -> np.ndarray:
 
 
 def period_of(force: Force) -> float | None:
-    """Period of the wave in a force that depends on time."""
+    """Period of the wave in a force that depends on time, within the longest run."""
     everywhere = np.full(len(force.w), True)
     functions = functions_of_time(force, everywhere)
     coefficients = np.linalg.lstsq(functions, force.w, rcond=None)[0]
     wave = functions[:, -4:] @ coefficients[-4:]
     slow = functions[:, :-4] @ coefficients[:-4]
-    if np.var(slow) > np.var(wave):
-        return None
-    return 1 / _frequency_in_time(force, everywhere)
+    period = 1 / _frequency_in_time(force, everywhere)
+    run = force.record.run
+    runs = [force.record.t[run == number] for number in np.unique(run)]
+    longest = max(map(np.ptp, runs))
+    return None if np.var(slow) > np.var(wave) or period > longest else period
 
 
 def _frequency_in_time(force: Force, is_fitted: np.ndarray) -> float:
@@ -156,4 +148,7 @@ def _frequency_in_time(force: Force, is_fitted: np.ndarray) -> float:
     peaks = found.frequencies[np.argsort(-height)[:3]]
     tried = _near(peaks, found.resolved)
     places = _drawn(is_fitted)
-    return _refined(t[places] - t[0], varying[places], tried, [found.resolved / 10])
+    power = partial(_power, t[places] - t[0], varying[places])
+    best = tried[[np.argmax(power(tried))]]
+    nearer = _near(best, found.resolved / 10)
+    return float(nearer[np.argmax(power(nearer))])

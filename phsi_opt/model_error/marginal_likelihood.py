@@ -812,25 +812,6 @@ class ForcePosterior:
         typical = np.median(self.deviation, axis=0)
         return np.asarray(size / np.maximum(typical, TINY))
 
-    def error_draws(self, n_draws: int = 24) -> np.ndarray:
-        """Random errors of the forces, (n_intervals, n_forced, n_draws).
-
-        Solutions for random noise and random innovations, whose covariance is that of
-        the forces given the measurements.
-        """
-        rng = np.random.default_rng(0)
-        likelihood = self.likelihood
-        weights = np.sqrt(self._system.weights)
-        noise = rng.normal(size=(len(weights), n_draws))
-        right = self._zeros(n_draws)
-        of_noise = likelihood.shown_transposed @ (weights[:, None] * noise)
-        right[: likelihood.n_unknowns] = of_noise
-        for force, places, whitener in self._forces:
-            innovations = rng.normal(size=(len(whitener.diagonal), n_draws))
-            right[places] += whitener.transposed(innovations) / force.size
-        errors = self._system.factors.solve(right)
-        return np.stack([errors[places] for _, places, _ in self._forces], axis=1)
-
     def shown(self, number: int, forces: np.ndarray) -> np.ndarray:
         """What the mean would show of forces in one equation, (n_intervals, k).
 

@@ -242,6 +242,11 @@ def follows_chart(found: Follows) -> Chart:
     return Chart(found.x_label, (Panel(found.y_label, (dots, through)),))
 
 
+def map_chart(found: ForceMap) -> Chart:
+    """A mean force over two variables."""
+    return Chart(found.x_label, map=found)
+
+
 def time_label(unit: str, origin: dt.datetime | None) -> str:
     """The label of an axis of time, with the date at which the time is 0."""
     date = date_words(0.0, origin)

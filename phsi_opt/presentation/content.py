@@ -264,7 +264,6 @@ class Force:
 
     equation: str
     quantity: str  # as of its runs
-    sentence: str
     runs: tuple[ForceRun, ...]  # along the training runs
     shown: int  # number of the run to show first
     map: ForceMap | None  # over the states; None where there is only one

@@ -19,6 +19,7 @@ from phsi_opt.presentation.charts import (
     figure,
     follows_chart,
     force_chart,
+    map_chart,
     run_chart,
     svg,
 )
@@ -57,7 +58,7 @@ def _places(
             charts[f"{name}-time"] = along[force.shown][0]
             charts[f"{name}-follows"] = follows_chart(force.follows)
             if force.map is not None:
-                charts[f"{name}-map"] = Chart(force.map.x_label, map=force.map)
+                charts[f"{name}-map"] = map_chart(force.map)
     return charts, several
 
 

@@ -15,18 +15,12 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison, is_failing
-from phsi_opt.criteria import CERTAIN_FORCE, SURE_ERROR
+from phsi_opt.criteria import SURE_ERROR
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import some_of
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.force_analysis.analysis import (
-    VIBRATION_WORDS,
-    law_answer,
-    likely_cause,
-    place_answer,
-)
-from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.analysis import strength_words, when_answer, where_answer
 from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage, parameter_words
@@ -39,7 +33,7 @@ from phsi_opt.presentation.content import (
     Headline,
     verdict_words,
 )
-from phsi_opt.presentation.numbers import number, said, with_error
+from phsi_opt.presentation.numbers import capitalised, number, said, with_error
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
     STANDARD_DEVIATIONS,
@@ -47,7 +41,7 @@ from phsi_opt.presentation.units import (
     time_words,
 )
 from phsi_opt.screening.effect_size import Size
-from phsi_opt.statistics import TINY, rms
+from phsi_opt.statistics import TINY
 from phsi_opt.study.record import StudyRecord
 
 NOT_ASKED = "not diagnosed yet"
@@ -69,7 +63,6 @@ NEAR_FLOOR = 1.1  # times the noise floor: the error of what is fitted to the no
 def answer(name: str, diagnosis: Diagnosis, **more: Any) -> Answer:
     """What ``words.jinja`` says under a name of a diagnosis."""
     force = diagnosis.analysis.force_in()
-    strength = number(force.where["strength"], 3)
     facts = {
         "d": diagnosis,
         "force": force,
@@ -79,15 +72,13 @@ def answer(name: str, diagnosis: Diagnosis, **more: Any) -> Answer:
         # Times the noise floor up to which an error is that of the noise.
         "at_noise": 1.05,
         "sure_error": SURE_ERROR,
-        "strength": f"{strength}{spaced(force.scale.unit)} (rms)",
         "classes": [" or ".join(map(str, one.effects)) for one in diagnosis.findings],
         "has_class": not all(finding.is_name for finding in diagnosis.findings),
         "disturbance": disturbance_word(diagnosis),
         "nearest": nearest_candidate(diagnosis),
-        "vibration": VIBRATION_WORDS,
         "fall_with": partial(_fall_with, diagnosis),
         "found": [finding_words(diagnosis, one) for one in diagnosis.findings],
-        "likely_cause": likely_cause,
+        "force_size": strength_words(force),
     }
     return say(__package__, name, **facts, **more)
 
@@ -107,8 +98,8 @@ def answers_of(diagnosis: Diagnosis) -> dict[str, Answer]:
     """What is wrong with a model, where and when, and what to do, by question."""
     told = {"What is wrong": answer("wrong", diagnosis)}
     if diagnosis.verdict != Verdict.NOTHING_MISSING:
-        told["Where"] = where_answer(diagnosis)
-        told["When"] = when_answer(diagnosis)
+        told["Where"] = _where(diagnosis)
+        told["When"] = when_answer(diagnosis.analysis.force_in())
     return {**told, NEXT: diagnosis.next_step}
 
 
@@ -118,21 +109,17 @@ def asked(told: Mapping[str, Answer]) -> tuple[Answer, ...]:
     return tuple(replace(one, question=question) for question, one in known.items())
 
 
-def where_answer(diagnosis: Diagnosis) -> Answer:
-    """Where a named effect acts; else what the force follows, or where it is."""
+def _where(diagnosis: Diagnosis) -> Answer:
+    """Where what was found acts, each place once; else where a force appears."""
+    # What it looks like is what the other parameters leave of it.
+    effects = chain(*(finding.effects for finding in diagnosis.findings))
+    places = dict.fromkeys(map(_acts, effects))
+    if places:
+        return Answer(f"{capitalised(' or '.join(places))}.")
     force = diagnosis.analysis.force_in()
-    place: Answer | str = ""
-    places: list[str] = []
-    is_alone = len(diagnosis.findings) == 1 and diagnosis.findings[0].is_name
-    if diagnosis.verdict == Verdict.NAMED and is_alone:
-        effect = diagnosis.findings[0].effects[0]
-        place = law_answer(diagnosis.analysis, effect)
-    elif not force.is_uncertain:
-        place = place_answer(force)
-        # Where the members of the classes that were found act, each place once.
-        classes = [one.effects for one in diagnosis.findings if not one.is_name]
-        places = list(dict.fromkeys(map(_acts, chain(*classes))))
-    return answer("where", diagnosis, place=place, places=places)
+    if force.is_uncertain:
+        return Answer("No equation, time or region is conspicuous.")
+    return where_answer(force)
 
 
 def _acts(effect: Effect) -> str:
@@ -260,35 +247,6 @@ def only_follows(trained: Comparison, judged: Comparison) -> bool:
     """Whether a model fits its training data to the noise, and no other data."""
     floor = judged.noise_floor
     return trained.rmse < NEAR_FLOOR * floor and judged.rmse > 2 * floor
-
-
-# ---- when ----------------------------------------------------------------------------
-
-
-def when_answer(diagnosis: Diagnosis) -> Answer:
-    """When the surest force is there, in which runs, where it is strongest."""
-    force = diagnosis.analysis.force_in()
-    if force.is_uncertain:
-        return Answer("At no time significantly.")
-    record = force.record
-    runs = [np.flatnonzero(record.run == k) for k in range(len(record.along.runs))]
-    clear = [inside for inside in runs if _is_clear(force, inside)] or runs
-    window = force.window_words(longest=float(record.t.max()))
-    return say(
-        __package__,
-        "when",
-        n_runs=len(runs),
-        n_clear=len(clear),
-        share=np.mean(force.is_sure[np.concatenate(clear)]),
-        window=f"t = {window}" if window else "",
-        run=force.window.trajectory if len(runs) > 1 else "the training record",
-    )
-
-
-def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
-    """Whether a part of the force exceeds its standard deviation."""
-    typical = float(np.median(force.deviation[inside]))
-    return rms(force.w[inside]) > CERTAIN_FORCE * typical
 
 
 # ---- the study as a whole ------------------------------------------------------------
