@@ -61,6 +61,7 @@ from phsi_opt.presentation.numbers import (
 )
 from phsi_opt.presentation.units import rate_unit, times_words
 from phsi_opt.screening.effect_size import Size
+from phsi_opt.study.answers import summary_of
 from phsi_opt.study.content import study_content
 from phsi_opt.study.record import StudyRecord
 from problems.examples.demo import model as spring
@@ -152,6 +153,8 @@ def unexplained(diagnosis: ph.Diagnosis, **changes: Any) -> ph.Diagnosis:
 
 def test_a_diagnosis_says_what_where_when_and_what_to_do(content, study) -> None:
     expected = {
+        "Verdict": r"Found\. Coulomb friction on p \([\d.]+ \+- [\d.]+ N\); the held-out "
+        r"error falls from .*",
         "What is wrong": r"The model has an error of 0\.\d+ m in q .* dp/dt lacks a "
         r"force of [\d.]+ N \(rms\), [\d.]+ times its standard deviation and .*",
         "Where": r"In dp/dt\.",
@@ -178,8 +181,8 @@ def test_the_first_screen_says_what_was_found_how_sure_and_how_good(
         found.detail,
     )
     answers = {one.question: one for one in content.headline.answers}
-    assert "equals the noise" not in answers["What is wrong"].told
-    assert answers["What is wrong"].lead == "Nothing that these data show."
+    assert answers["Verdict"].lead == "Nothing missing."
+    assert "What is wrong" not in answers
     assert answers["How sure is it"].lead == (
         "That it was missing is practically certain (odds of more than a million to "
         "one)."
@@ -229,7 +232,7 @@ def test_what_is_not_proven_is_told_with_the_reason_and_without_a_grade(study) -
 def test_a_part_that_failed_before_is_told_in_the_past(study, content, page) -> None:
     assert content.where == "Where the base model failed"
     assert "Where it fails" not in page and "missing: named" not in page
-    assert "Base model: effect found" in Reader(page).text
+    assert "Base model: found" in Reader(page).text
     found = unexplained(study.record.diagnoses[0])
     open_ = study_content(with_diagnoses(study, found))
     assert open_.where == "Where it fails"
@@ -238,10 +241,9 @@ def test_a_part_that_failed_before_is_told_in_the_past(study, content, page) -> 
     assert ": cause unknown" in markdown_report(open_).splitlines()[0]
     silent = study.record.diagnoses[1]
     alone = study_content(with_diagnoses(study, silent))
-    assert (
-        alone.where == "Diagnosis"
-        and "no missing effect" in alone.headline.answers[-2].lead
-    )
+    assert alone.where == "Diagnosis"
+    assert alone.headline.sentence == "Nothing is missing."
+    assert "How sure is it" not in [one.question for one in alone.headline.answers]
 
 
 def test_calls_and_sums_are_in_the_folded_part_alone(study, page) -> None:
@@ -275,11 +277,11 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
     assert headline.sentence.endswith(
         "There is no evidence that the present model lacks anything."
     )
-    assert headline.severity == LOOK
+    assert headline.answers[0].severity == LOOK
     said = "added, but not established: coulomb friction on p"
-    assert said in str(record.summary.parts[-1].text)
+    assert said in str(summary_of(record).parts[-1].text)
     assert said in markdown_report(study_content(record))
-    assert study_content(study.record).headline.severity == GOOD
+    assert study_content(study.record).headline.answers[0].severity == GOOD
     assert not study.record.unestablished
 
 

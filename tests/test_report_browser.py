@@ -39,7 +39,8 @@ def run(name: str) -> Run:
 
 def content() -> StudyContent:
     told = Answer("A friction was missing.", "The error fell.")
-    headline = Headline("nothing missing", GOOD, told, "nothing missing", (told,))
+    verdict = Answer("Nothing missing.", question="Verdict", severity=GOOD)
+    headline = Headline("nothing missing", told, (verdict, told))
     steps = tuple(ErrorStep(name, 0.1, 0.2, 0.1, 1.0) for name in NAMES)
     formula = "<math display='block'><mi>q</mi></math>"
     models = tuple(Equations(name, ("q = 1",), (), (formula,)) for name in NAMES)

@@ -220,7 +220,9 @@ def test_what_a_study_prints_loses_no_column_and_shows_itself_as_html_and_rich(
     for column in hidden.history.columns:
         assert column in str(hidden)
         assert f">{column}</th>" in hidden._repr_html_()
-    assert hidden.stopped in " ".join(str(hidden).split())
+    assert hidden.stopped == found.said and found.reason[1:] in " ".join(
+        str(hidden).split()
+    )
 
 
 @pytest.mark.parametrize(("q", "said"), [

@@ -25,7 +25,7 @@ from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.presentation.sentences import lines
+from phsi_opt.presentation.content import Answer as Told
 from phsi_opt.presentation.units import scale_of
 from phsi_opt.study import Study
 from phsi_opt.study_file.kept_fits import KeptFits
@@ -163,13 +163,15 @@ def _diagnose_answer(found: Diagnosis, job: Job) -> Answer:
         "verdict": str(found.verdict),
         "reason": found.reason,
         "proposed": found.proposed,
-        "sentences": found.sentences,
+        "answers": list(map(_listed, found.answers)),
         "warning": found.warning,
-        "next": str(found.next_step),
         "candidates": found.candidates,
     }
-    text = lines(__package__, "diagnosis", found=found)
-    return Answer(text, plain(content), _code(found, job))
+    return Answer(str(found), plain(content), _code(found, job))
+
+
+def _listed(one: Told) -> dict[str, Any]:
+    return {"kind": one.question, "sentence": str(one), "numbers": one.numbers}
 
 
 def _code(found: Diagnosis, job: Job) -> int:
@@ -183,21 +185,19 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         study.auto(job.max_steps or file.steps.max_steps, reach=job.reach)
         code = ExitCode(_code(study.diagnose(), job))
     content = study.content()
+    discovery = replace(content.headline.discovery, question="What was found")
     listed = {
-        "next": str(content.headline.next_step) if job.is_auto else "",
         "stopped": study.stopped,
         "history": study.history,
         "final_rmse": [one.rmse for one in study.record.final_comparisons],
         "added": content.added,
         "unestablished": content.unestablished,
         "verdict": content.headline.status if job.is_auto else None,
-        "sentence": content.headline.sentence,
-        "answers": {one.question: str(one) for one in content.headline.answers},
+        "answers": [*map(_listed, (discovery, *content.headline.answers))],
         "equations": study.fit.equations(),
         "unit": study.unit,
     }
-    text = lines(__package__, "study", study=study, content=content)
-    return Answer(text, plain(listed), code)
+    return Answer(f"{study.fit}\n\n{study}", plain(listed), code)
 
 
 # ---- tables and numbers --------------------------------------------------------------

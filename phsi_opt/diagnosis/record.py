@@ -1,6 +1,10 @@
-"""The record of a diagnosis: where a model fails, the candidates, the verdict."""
+"""The record of a diagnosis: where a model fails, the candidates, the verdict.
 
-from dataclasses import dataclass
+What it says is one list of answers, which terminal, notebook, ``--json``, Markdown,
+report and page print. Their sentences stand in ``words.jinja``.
+"""
+
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -12,10 +16,26 @@ from phsi_opt.diagnosis.data_causes import DataCause
 from phsi_opt.diagnosis.experiments import Separation, separating
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.analysis import ForceAnalysis, step_without_name
+from phsi_opt.force_analysis.analysis import (
+    ForceAnalysis,
+    step_without_name,
+    strength_words,
+    when_answer,
+    where_answer,
+)
 from phsi_opt.model.effect import Effect
-from phsi_opt.presentation.content import TRAINING, Answer
+from phsi_opt.presentation.content import (
+    BAD,
+    GOOD,
+    LOOK,
+    NEXT,
+    TRAINING,
+    VERDICT,
+    Answer,
+    verdict_words,
+)
 from phsi_opt.presentation.numbers import capitalised, enumerated, range_words
+from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.summary import (
     Part,
     Summarised,
@@ -23,6 +43,7 @@ from phsi_opt.presentation.summary import (
     printed_table,
 )
 from phsi_opt.presentation.units import scale_of
+from phsi_opt.statistics import TINY
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,6 +58,7 @@ CANDIDATE_COLUMNS = [
 # Those that are printed; all would make lines too long to read.
 PRINTED = ("effect", "size", "log_evidence", "grade", "held_out_rmse")
 N_PRINTED = 6  # candidates that are printed
+
 HOW_TO_ADD = (
     "In Python, study.add or study.auto adds it; phsi-opt study --auto on the command "
     "line."
@@ -52,7 +74,8 @@ class Diagnosis(Summarised):
         base: the free run of the fit on held-out data, or on the training data if there
             are none.
         ranking: the candidates with all their results, best first.
-        verdict: one of four phrases; ``reason`` explains it in a sentence.
+        verdict: one of four phrases, for programs; ``reason`` explains it in a
+            sentence.
         findings: the established effects, each a single effect or a class; empty if
             none is established.
         proposed: the effects that a study adds next, the first of each finding; empty
@@ -71,6 +94,11 @@ class Diagnosis(Summarised):
     proposed: tuple[Effect, ...] = ()
     proposed_fit: Fit | None = None
     data_cause: DataCause | None = None
+
+    @property
+    def said(self) -> str:
+        """The verdict as people read it, with its reason."""
+        return f"{verdict_words(self.verdict)}: {self.reason}"
 
     @property
     def fit(self) -> Fit:
@@ -176,6 +204,14 @@ class Diagnosis(Summarised):
         """What to do where the free run is flat or far off, and no name explains it."""
         return "" if self.verdict == Verdict.NAMED else self.base.warning
 
+    @cached_property
+    def answers(self) -> tuple[Answer, ...]:
+        """The verdict; what is wrong, where and when; what to do next.
+
+        Reports, the page, the command line and what is printed have these sentences.
+        """
+        return _answers(self)
+
     @property
     def next_step(self) -> Answer:
         """The recommended next step.
@@ -183,42 +219,7 @@ class Diagnosis(Summarised):
         Add the named effect, or distinguish the effects of a class; if no effect is
         named, what to measure, to try or to check; use the model if nothing is missing.
         """
-        cause = self.data_cause
-        if cause is not None:
-            return Answer(f"{capitalised(cause.advice)}.", "Then diagnose again.")
-        if self.verdict == Verdict.NOTHING_MISSING:
-            covered = ", ".join(self._ranges)
-            again = "measure again before you rely on it outside"
-            return Answer("Use the model.", f"The data cover {covered}; {again}.")
-        if not self.findings:
-            return step_without_name(self.analysis)
-        firsts = enumerated(str(finding.effects[0]) for finding in self.findings)
-        again = ", then diagnose again" if self.verdict == Verdict.PARTLY_NAMED else ""
-        apart = []
-        for finding in self.findings:
-            first, *others = map(str, finding.effects)
-            if others:
-                apart.append(f"{first} from {', '.join(others)}")
-        if not apart:
-            return Answer(f"Add {firsts}{again}.", how=HOW_TO_ADD)
-        return Answer(
-            f"Distinguish {'; '.join(apart)} by an experiment.",
-            f"Until then, you may use {firsts} in the model{again}.",
-            how=f"found.separation proposes one. {HOW_TO_ADD}",
-        )
-
-    @property
-    def _ranges(self) -> list[str]:
-        """What the data cover, such as "q from -1 to 2 m", of at most four channels."""
-        found: dict[tuple[str, str], list[float]] = {}
-        for data in (self.data, self.base.data):
-            for one in data.look.channels:
-                found.setdefault((one.name, one.unit), []).extend(one.values[one.known])
-        covered = [(*key, values) for key, values in found.items() if values]
-        return [
-            f"{name} from {range_words(min(values), max(values), unit)}"
-            for name, unit, values in covered[:4]
-        ]
+        return _next_step(self)
 
     @cached_property
     def separation(self) -> Separation | None:
@@ -273,9 +274,7 @@ class Diagnosis(Summarised):
         return plot_where(self.analysis, equation)
 
     def _summary(self) -> Summary:
-        said = [self.warning]
-        if self.verdict == Verdict.UNEXPLAINED:
-            said.append(f"next: {self.next_step}")
+        told = [f"{one.question}: {one}" for one in self.answers[1:]]
         rows = []
         for one in self.ranking[:N_PRINTED]:
             size = str(one.size).replace(" ", "\N{NO-BREAK SPACE}")
@@ -283,10 +282,140 @@ class Diagnosis(Summarised):
             rows.append((one.name, size, evidence, one.grade, one.held_out_rmse))
         best = printed_table(rows, columns=list(PRINTED))
         return Summary(
-            f"{self.verdict}: {self.reason}",
+            self.said,
             (
-                Part(text="\n".join(filter(None, said))),
+                Part(text="\n".join(filter(None, (self.warning, *told)))),
                 Part("where it fails", table=self.where),
                 Part("candidates, best first", table=best),
             ),
         )
+
+
+# ---- what it says --------------------------------------------------------------------
+
+
+def _answers(diagnosis: Diagnosis) -> tuple[Answer, ...]:
+    """The verdict; what is wrong with the model, where and when; what to do next."""
+    answers = {VERDICT: _verdict(diagnosis)}
+    if diagnosis.verdict != Verdict.NOTHING_MISSING:
+        force = diagnosis.analysis.force_in()
+        answers["What is wrong"] = _wrong(diagnosis)
+        answers["Where"] = _where(diagnosis)
+        answers["When"] = when_answer(force)
+    answers[NEXT] = _next_step(diagnosis)
+    return tuple(replace(one, question=name) for name, one in answers.items())
+
+
+def _verdict(diagnosis: Diagnosis) -> Answer:
+    """The verdict in the words of people, with its reason."""
+    remark = " (fast disturbance)" if is_disturbance(diagnosis) else ""
+    severities = {Verdict.NOTHING_MISSING: GOOD, Verdict.UNEXPLAINED: BAD}
+    judged = diagnosis.base
+    numbers = {
+        "error": judged.rmse,
+        "noise_floor": judged.noise_floor,
+        "unit": judged.error_unit,
+        "log_evidence": [one.log_evidence for one in diagnosis.established],
+    }
+    return Answer(
+        f"{capitalised(verdict_words(diagnosis.verdict))}{remark}.",
+        f"{capitalised(diagnosis.reason)}.",
+        severity=severities.get(diagnosis.verdict, LOOK),
+        numbers=numbers,
+    )
+
+
+def is_disturbance(diagnosis: Diagnosis) -> bool:
+    """Whether nothing explains a missing force that shakes."""
+    force = diagnosis.analysis.force_in()
+    is_open = not (diagnosis.findings or diagnosis.data_cause or force.is_uncertain)
+    is_missing = diagnosis.verdict != Verdict.NOTHING_MISSING
+    return is_missing and is_open and force.pace.is_vibration
+
+
+def _wrong(diagnosis: Diagnosis) -> Answer:
+    """How far the channels are off that are farthest off, and what force is missing."""
+    off = _off_channels(diagnosis.base)
+    is_held_out = diagnosis.base.record is not diagnosis.record
+    force = diagnosis.analysis.force_in()
+    return say(
+        __package__,
+        "wrong",
+        {"channels": off.to_dict("records"), "force": force.where},
+        judged="data not used for fitting" if is_held_out else "the training data",
+        strength=strength_words(force),
+    )
+
+
+def _off_channels(judged: Comparison) -> "pd.DataFrame":
+    """The three channels that are farthest off, the worst first.
+
+    Error and noise also in percent of the standard deviation, ``off`` and ``noise``.
+    """
+    table = judged.table[["state", "unit", "rmse", "noise_floor"]]
+    off: pd.Series = 100 - judged.table["fit_percent"]
+    ratio: pd.Series = table["noise_floor"] / table["rmse"].clip(lower=TINY)
+    table = table.assign(off=off, noise=off * ratio)
+    return table.sort_values("off", ascending=False, kind="stable")[:3]
+
+
+def _where(diagnosis: Diagnosis) -> Answer:
+    """Where what was found acts, each place once; else where a force appears."""
+    # What it looks like is what the other parameters leave of it.
+    effects = chain(*(finding.effects for finding in diagnosis.findings))
+    places = dict.fromkeys(map(_acts, effects))
+    if places:
+        return Answer(f"{capitalised(' or '.join(places))}.")
+    force = diagnosis.analysis.force_in()
+    if force.is_uncertain:
+        return Answer("No equation, time or region is conspicuous.")
+    return where_answer(force)
+
+
+def _acts(effect: Effect) -> str:
+    if effect.slot == "sensor":
+        return f"at the sensor of {effect.equation}"
+    if not effect.equation.isidentifier():
+        return f"along {effect.equation}"
+    return f"in d{effect.equation}/dt"
+
+
+def _next_step(diagnosis: Diagnosis) -> Answer:
+    """What to add, to distinguish, to measure, to try or to check."""
+    if diagnosis.data_cause is not None:
+        advice = f"{capitalised(diagnosis.data_cause.advice)}."
+        return Answer(advice, "Then diagnose again.")
+    if diagnosis.verdict == Verdict.NOTHING_MISSING:
+        covered = ", ".join(_ranges(diagnosis))
+        again = "measure again before you rely on it outside"
+        return Answer("Use the model.", f"The data cover {covered}; {again}.")
+    if not diagnosis.findings:
+        return step_without_name(diagnosis.analysis)
+    firsts = enumerated(str(finding.effects[0]) for finding in diagnosis.findings)
+    is_part = diagnosis.verdict == Verdict.PARTLY_NAMED
+    again = ", then diagnose again" if is_part else ""
+    apart = []
+    for finding in diagnosis.findings:
+        first, *others = map(str, finding.effects)
+        if others:
+            apart.append(f"{first} from {', '.join(others)}")
+    if not apart:
+        return Answer(f"Add {firsts}{again}.", how=HOW_TO_ADD)
+    return Answer(
+        f"Distinguish {'; '.join(apart)} by an experiment.",
+        f"Until then, you may use {firsts} in the model{again}.",
+        how=f"found.separation proposes one. {HOW_TO_ADD}",
+    )
+
+
+def _ranges(diagnosis: Diagnosis) -> list[str]:
+    """What the data cover, such as "q from -1 to 2 m", of at most four channels."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for data in (diagnosis.data, diagnosis.base.data):
+        for one in data.look.channels:
+            found.setdefault((one.name, one.unit), []).extend(one.values[one.known])
+    covered = [(*key, values) for key, values in found.items() if values]
+    return [
+        f"{name} from {range_words(min(values), max(values), unit)}"
+        for name, unit, values in covered[:4]
+    ]

@@ -114,7 +114,7 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
     """What ``words.jinja`` says of a force under a name."""
     model = force.record.model
     effort = force.variable_words(model.efforts[force.row])
-    facts = {
+    facts: dict[str, Any] = {
         "force": force,
         "model": model,
         "units": defaultdict(str, force.record.units),

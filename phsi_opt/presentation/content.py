@@ -7,12 +7,20 @@ Numbers that are not known are NaN in arrays, and None elsewhere.
 
 import datetime as dt
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
-from phsi_opt.presentation.numbers import as_exact_as, label, number, said, typeset
+from phsi_opt.presentation.numbers import (
+    as_exact_as,
+    label,
+    lowered,
+    number,
+    said,
+    typeset,
+)
 from phsi_opt.presentation.units import Scale
 from phsi_opt.statistics import rms
 
@@ -20,7 +28,8 @@ Number = float | None
 
 TRAINING = "training"
 HELD_OUT = "held out"
-NEXT = "What to do next"  # the question that every list of answers has
+VERDICT = "Verdict"  # the first question of every list of answers
+NEXT = "What to do next"  # which each has, too
 # Severities, each with a word that is printed beside its colour.
 GOOD = "good"
 LOOK = "look"
@@ -28,8 +37,8 @@ BAD = "bad"
 SEVERITY_WORDS = {GOOD: "In order", LOOK: "Worth a look", BAD: "Not in order"}
 # What people read for a verdict, whose own name is for programs.
 VERDICT_WORDS = {
-    "missing: named": "effect found",
-    "missing: partly named": "partly found",
+    "missing: named": "found",
+    "missing: partly named": "found in part",
     "missing: unexplained": "cause unknown",
 }
 
@@ -39,12 +48,14 @@ VERDICT_WORDS = {
 
 @dataclass(frozen=True)
 class Answer:
-    """What is to be understood at once, its details, and which call does it."""
+    """A question, what is to be understood at once, details, and which call does it."""
 
     lead: str
     detail: str = ""
     question: str = ""
     how: str = ""
+    severity: str = ""  # of a verdict
+    numbers: Mapping[str, Any] = field(default_factory=dict)  # of which it tells
 
     @property
     def told(self) -> str:
@@ -56,16 +67,19 @@ class Answer:
 
 @dataclass(frozen=True)
 class Headline:
-    """The verdict on the present model."""
+    """What is said of the present model at once."""
 
-    status: str  # in a phrase
-    severity: str  # how bad that is
+    status: str  # the verdict, for programs
     discovery: Answer  # what was found, and what it changed
-    badge: str  # the status as people read it
-    # What is wrong, where, when, what to do next, how sure that is, how good the model.
+    # Verdict, what is wrong, where, when, what to do next, how sure that is, how good
+    # the model is.
     answers: tuple[Answer, ...]
-    remark: str = ""  # on the status, such as "fast disturbance"; "": none
     caution: str = ""  # what else to know before anything is believed; "" for nothing
+
+    @property
+    def badge(self) -> str:
+        """The verdict in a few words, as people read it."""
+        return lowered(self.answers[0].lead.removesuffix("."))
 
     @property
     def sentence(self) -> str:
@@ -305,10 +319,8 @@ class Diagnosed:
     """A diagnosis of one step's model."""
 
     heading: str  # which model it looks at
-    answers: tuple[Answer, ...]  # what is wrong, where, when, what to do next
-    verdict: str  # in a phrase
-    reason: str  # in a sentence
-    sentences: tuple[str, ...]  # where the model fails, in words
+    answers: tuple[Answer, ...]  # as those of the diagnosis
+    verdict: str  # for programs
     forces: tuple[Force, ...]  # the missing force of each equation that has a sure one
     ranking: tuple[Ranked, ...]  # the candidates, best first
     proposed: tuple[str, ...]  # the effects to add next; empty for none

@@ -7,6 +7,7 @@ stands before a stop or a comma.
 """
 
 import re
+from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -71,11 +72,17 @@ def environment(package: str, folder: str = "", **settings: Any) -> "Environment
     return found
 
 
-def say(package: str, name: str, **facts: Any) -> Answer:
-    """What the macro of a name in the package's ``words.jinja`` says of facts."""
-    parts = _told(package, "words.jinja", name, facts).split(BEHIND_LEAD)
+def say(
+    package: str, name: str, numbers: Mapping[str, Any] | None = None, **facts: Any
+) -> Answer:
+    """What the macro of a name in the package's ``words.jinja`` says of facts.
+
+    Those that are numbers are kept with the answer.
+    """
+    numbers = numbers or {}
+    parts = _told(package, "words.jinja", name, {**numbers, **facts}).split(BEHIND_LEAD)
     lead, detail, how = (*map(_one_line, parts), "", "")[:3]
-    return Answer(lead, detail, how=how)
+    return Answer(lead, detail, how=how, numbers=numbers)
 
 
 def lines(package: str, name: str, **facts: Any) -> str:

@@ -1,133 +1,184 @@
-"""The verdict on a study and its answers: what is wrong, where, when, what to do.
+"""The answers about a study: what was found and what it changed, how sure, how good.
 
-A diagnosis has one list of answers; the study adds to that of its present model how
-sure it is and how good the model is. Terminal, ``--json``, Markdown, report and page
-print these lists. Here are the facts; the sentences stand in ``words.jinja``.
+With those of the diagnosis of the present model they are one list. Terminal, notebook,
+``--json``, Markdown, report and page print it. Errors are those that the chart of the
+errors shows. Here are the facts; the sentences stand in ``words.jinja``.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import chain
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from phsi_opt.comparison.compare import Comparison, is_failing
-from phsi_opt.criteria import SURE_ERROR
+from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
-from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.record import Diagnosis, is_disturbance
 from phsi_opt.errors import some_of
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.force_analysis.analysis import strength_words, when_answer, where_answer
 from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage, parameter_words
 from phsi_opt.presentation.content import (
-    BAD,
     GOOD,
     LOOK,
     NEXT,
+    VERDICT,
     Answer,
     Headline,
-    verdict_words,
+    unestablished_words,
 )
-from phsi_opt.presentation.numbers import capitalised, number, said, with_error
+from phsi_opt.presentation.numbers import number, said, with_error, with_interval
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import (
-    STANDARD_DEVIATIONS,
-    spaced,
-    time_words,
-)
+from phsi_opt.presentation.summary import Part, Summary
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS, spaced, time_words
 from phsi_opt.screening.effect_size import Size
-from phsi_opt.statistics import TINY
 from phsi_opt.study.record import StudyRecord
 
 NOT_ASKED = "not diagnosed yet"
-ASK = "Diagnose it: phsi-opt study --auto, or study.auto()."
-SEVERITIES = {
-    str(Verdict.NOTHING_MISSING): GOOD,
-    str(Verdict.NAMED): LOOK,
-    str(Verdict.PARTLY_NAMED): LOOK,
-    str(Verdict.UNEXPLAINED): BAD,
-    NOT_ASKED: LOOK,
-}
 POWERS_OF_TEN = (
     *("ten", "a hundred", "a thousand", "ten thousand"),
     *("a hundred thousand", "a million"),
 )
-NEAR_FLOOR = 1.1  # times the noise floor: the error of what is fitted to the noise
 
 
-def answer(name: str, diagnosis: Diagnosis, **more: Any) -> Answer:
-    """What ``words.jinja`` says under a name of a diagnosis."""
-    force = diagnosis.analysis.force_in()
-    facts = {
-        "d": diagnosis,
-        "force": force,
-        "units": diagnosis.record.data.units,
-        **_shared(diagnosis.base.record is not diagnosis.record),
-        "ratio": diagnosis.base.rmse / diagnosis.base.noise_floor,
-        # Times the noise floor up to which an error is that of the noise.
-        "at_noise": 1.05,
-        "sure_error": SURE_ERROR,
-        "classes": [" or ".join(map(str, one.effects)) for one in diagnosis.findings],
-        "has_class": not all(finding.is_name for finding in diagnosis.findings),
-        "disturbance": disturbance_word(diagnosis),
-        "nearest": nearest_candidate(diagnosis),
-        "fall_with": partial(_fall_with, diagnosis),
-        "found": [finding_words(diagnosis, one) for one in diagnosis.findings],
-        "force_size": strength_words(force),
-    }
-    return say(__package__, name, **facts, **more)
+def headline_of(study: StudyRecord) -> Headline:
+    """What is said of the present model at once."""
+    present = study.present
+    status = NOT_ASKED
+    asks = Answer("Diagnose it: phsi-opt study --auto, or study.auto().", question=NEXT)
+    answers = [Answer("Not diagnosed yet.", question=VERDICT, severity=LOOK), asks]
+    if present is not None:
+        status = str(present.verdict)
+        answers = list(present.answers)
+    if study.unestablished and answers[0].severity == GOOD:
+        answers[0] = replace(answers[0], severity=LOOK)
+    elif study.last.added and status == Verdict.UNEXPLAINED and not study.unestablished:
+        answers[0] = replace(answers[0], lead="Found in part.")
+    if any(one.findings for one in study.diagnoses.values()):
+        answers.append(_how_sure(study))
+    data = study.last.judged.data
+    longest = max(float(np.ptp(run.t)) for run in data)
+    duration = time_words(longest, data.units.get("t", ""))
+    good = said_of(study, "how_good", longest=duration)
+    answers.append(replace(good, question="How good is the model"))
+    fit = study.last.cautioned
+    warning = "" if study.last.train.warning else study.last.judged.warning
+    cautions = filter(None, (fit.caution, warning, undetermined_words(fit)))
+    return Headline(status, _discovery(study), tuple(answers), " ".join(cautions))
 
 
-def _shared(is_held_out: bool) -> dict[str, Any]:
-    """What the data are called that judge, and how errors on them are told."""
-    judged = "data not used for fitting" if is_held_out else "the training data"
-    return {
-        "judged": judged,
-        "the_error": f"the error on {judged}",
-        "is_failing": is_failing,
-        "off_channels": off_channels,
-    }
+def stopped_words(study: StudyRecord) -> str:
+    """Why an automatic study stopped, where that is not the verdict; or ""."""
+    present = study.present
+    is_verdict = present is not None and study.stopped == present.said
+    return "" if is_verdict else study.stopped
 
 
-def answers_of(diagnosis: Diagnosis) -> dict[str, Answer]:
-    """What is wrong with a model, where and when, and what to do, by question."""
-    told = {"What is wrong": answer("wrong", diagnosis)}
-    if diagnosis.verdict != Verdict.NOTHING_MISSING:
-        told["Where"] = _where(diagnosis)
-        told["When"] = when_answer(diagnosis.analysis.force_in())
-    return {**told, NEXT: diagnosis.next_step}
+def summary_of(study: StudyRecord) -> Summary:
+    """The effects that were added, the errors, and all answers."""
+    added = ", ".join(map(str, study.last.added)) or "nothing added yet"
+    headline = headline_of(study)
+    # A fit tells its own caution.
+    caution = headline.caution.removeprefix(study.last.cautioned.caution)
+    names = [one.name for one in study.unestablished]
+    told = [
+        headline.sentence,
+        *(f"{one.question}: {one}" for one in headline.answers),
+        *(caution.strip(), stopped_words(study), unestablished_words(names)),
+    ]
+    return Summary(
+        f"Study of {type(study.last.fit.model).__name__}, added: {added}",
+        (
+            Part("errors of free runs", table=study.history),
+            Part(text="\n".join(filter(None, told))),
+        ),
+    )
 
 
-def asked(told: Mapping[str, Answer]) -> tuple[Answer, ...]:
-    """The answers that say something, with their questions."""
-    known = {question: one for question, one in told.items() if one.lead}
-    return tuple(replace(one, question=question) for question, one in known.items())
+def _how_sure(study: StudyRecord) -> Answer:
+    """The odds of what was found so far."""
+    found = [one for one in study.diagnoses.values() if one.findings]
+    classes = list(chain(*(one.findings for one in found)))
+    least = min(one.ranking[0].log_evidence for one in found)
+    answer = said_of(
+        study,
+        "how_sure",
+        {"log_evidence": least},
+        odds=odds_words(least),
+        n_names=len({tuple(map(str, finding.effects)) for finding in classes}),
+        has_class=not all(finding.is_name for finding in classes),
+    )
+    return replace(answer, question="How sure is it")
 
 
-def _where(diagnosis: Diagnosis) -> Answer:
-    """Where what was found acts, each place once; else where a force appears."""
-    # What it looks like is what the other parameters leave of it.
-    effects = chain(*(finding.effects for finding in diagnosis.findings))
-    places = dict.fromkeys(map(_acts, effects))
-    if places:
-        return Answer(f"{capitalised(' or '.join(places))}.")
-    force = diagnosis.analysis.force_in()
-    if force.is_uncertain:
-        return Answer("No equation, time or region is conspicuous.")
-    return where_answer(force)
+def odds_words(log_evidence: float) -> str:
+    """How sure an effect is, as odds in words: from a hundred to a million to one."""
+    power = int(np.clip(log_evidence / np.log(10), 1, 6))
+    how = "practically certain" if power >= 4 else "very likely"
+    return f"{how} (odds of more than {POWERS_OF_TEN[power - 1]} to one)"
 
 
-def _acts(effect: Effect) -> str:
-    if effect.slot == "sensor":
-        return f"at the sensor of {effect.equation}"
-    if not effect.equation.isidentifier():
-        return f"along {effect.equation}"
-    return f"in d{effect.equation}/dt"
+def said_of(
+    study: StudyRecord, name: str, numbers: dict[str, Any] | None = None, **facts: Any
+) -> Answer:
+    """What ``words.jinja`` says under a name of the study as a whole."""
+    size, unit = study.error_scale
+    percent = " %" if study.unit == STANDARD_DEVIATIONS else ""  # of several channels
+    steps = study.errors(size)
+    last = steps[-1]
+    errors = {"base_error": steps[0].judged, "error": last.judged, "noise": last.floor}
+    judged = "the training data"
+    if study.last.held_out is not None:
+        judged = "data not used for fitting"
+    return say(
+        __package__,
+        name,
+        errors | {"unit": unit} | (numbers or {}),
+        study=study,
+        judged=judged,
+        failing=FAILING_ERROR,
+        present=study.present,
+        added=study.last.added,
+        size=size,
+        percent=percent,
+        short=percent or spaced(unit),
+        floor=with_interval(
+            last.floor or 0.0, last.floor_ends, percent or spaced(unit)
+        ),
+        **facts,
+    )
+
+
+def _discovery(study: StudyRecord) -> Answer:
+    present = study.present
+    added = study.last.added
+    names = [one.name for one in added]
+    open_ = {one.name: one.lost for one in study.unestablished}
+    sure = []
+    unsure = []
+    for effect in added:
+        is_alone = names.count(effect.name) == 1  # in one equation
+        name = effect.name if is_alone else str(effect)
+        beside = _beside(study, effect)
+        if str(effect) in open_:
+            unsure.append(called(name, *beside, open_[str(effect)]))
+        else:
+            sure.append(called(name, *beside))
+    found = []
+    if present is not None:
+        found = [finding_words(present, one) for one in present.findings]
+    return said_of(study, "discovery", sure=sure, unsure=unsure, found=found)
+
+
+def _beside(study: StudyRecord, effect: Effect) -> tuple[str, str]:
+    """The present size of an effect that was added, and the others of its class."""
+    classes = ""
+    for finding in chain(*(one.findings for one in study.diagnoses.values())):
+        if effect in finding.effects:
+            classes = classes or alternatives(finding, str(effect))
+    return size_words(study.last.fit, effect, study.size(effect)), classes
 
 
 # ---- facts ---------------------------------------------------------------------------
@@ -196,24 +247,9 @@ def nearest_candidate(diagnosis: Diagnosis) -> Candidate | None:
     return None if first.grade == Grade.NONE else first
 
 
-def _fall_with(diagnosis: Diagnosis, candidate: Candidate) -> float:
-    """The share of the error that it takes away; 0 where that is not known."""
-    found = candidate.comparison
-    return 0.0 if found is None else 1 - found.rmse / diagnosis.base.rmse
-
-
-def disturbance_word(diagnosis: Diagnosis) -> str:
-    """What stands beside a verdict whose force shakes; "" for others."""
-    force = diagnosis.analysis.force_in()
-    is_open = not (diagnosis.findings or diagnosis.data_cause or force.is_uncertain)
-    is_missing = diagnosis.verdict != Verdict.NOTHING_MISSING
-    is_fast = is_missing and is_open and force.pace.is_vibration
-    return "fast disturbance" if is_fast else ""
-
-
 def samples_to_average(diagnosis: Diagnosis) -> int:
     """How many samples hide a force that shakes in their mean; 0 where none does."""
-    if not disturbance_word(diagnosis):
+    if not is_disturbance(diagnosis):
         return 0
     return diagnosis.analysis.force_in().pace.samples_per_cycle
 
@@ -231,131 +267,3 @@ def undetermined_words(fit: Fit) -> str:
         f"Parameters that these data do not determine: {some_of(names)} (the standard "
         "error exceeds the value); do not rely on them."
     )
-
-
-def off_channels(judged: Comparison) -> pd.DataFrame:
-    """The three channels that are farthest off, the worst first, in percent."""
-    ratio: pd.Series = judged.table["noise_floor"] / judged.table["rmse"].clip(
-        lower=TINY
-    )
-    off: pd.Series = 100 - judged.table["fit_percent"]
-    table = judged.table.assign(off=off, noise=off * ratio)
-    return table.sort_values("off", ascending=False, kind="stable")[:3]
-
-
-def only_follows(trained: Comparison, judged: Comparison) -> bool:
-    """Whether a model fits its training data to the noise, and no other data."""
-    floor = judged.noise_floor
-    return trained.rmse < NEAR_FLOOR * floor and judged.rmse > 2 * floor
-
-
-# ---- the study as a whole ------------------------------------------------------------
-
-
-def headline_of(study: StudyRecord) -> Headline:
-    """The verdict on the present model, and the answers of the first screen."""
-    present = study.present
-    status = NOT_ASKED
-    remark = ""
-    answers = {NEXT: Answer(ASK)}
-    if present is not None:
-        status = str(present.verdict)
-        remark = disturbance_word(present)
-        answers = answers_of(present)
-    severity = SEVERITIES[status]
-    badge = verdict_words(status)
-    if study.unestablished and severity == GOOD:
-        severity = LOOK
-    elif study.last.added and status == Verdict.UNEXPLAINED and not study.unestablished:
-        badge = "partly explained"
-    data = study.last.judged.data
-    longest = max(float(np.ptp(run.t)) for run in data)
-    duration = time_words(longest, data.units.get("t", ""))
-    answers["How sure is it"] = _certainty(study)
-    answers["How good is the model"] = said_of(study, "how_good", longest=duration)
-    fit = study.last.cautioned
-    warning = "" if study.last.train.warning else study.last.judged.warning
-    cautions = (fit.caution, warning, undetermined_words(fit))
-    return Headline(
-        status,
-        severity,
-        _discovery(study),
-        badge,
-        asked(answers),
-        remark=remark,
-        caution=" ".join(filter(None, cautions)),
-    )
-
-
-def _certainty(study: StudyRecord) -> Answer:
-    """The odds of what was found so far; without a name, whether anything lacks."""
-    found = [one for one in study.diagnoses.values() if one.findings]
-    if not found:
-        return answer("certainty", study.present) if study.present else Answer("")
-    classes = list(chain(*(one.findings for one in found)))
-    names = {" or ".join(map(str, finding.effects)) for finding in classes}
-    return said_of(
-        study,
-        "how_sure",
-        odds=odds_words(min(one.ranking[0].log_evidence for one in found)),
-        n_names=len(names),
-        has_class=not all(finding.is_name for finding in classes),
-    )
-
-
-def odds_words(log_evidence: float) -> str:
-    """How sure an effect is, as odds in words: from a hundred to a million to one."""
-    power = int(np.clip(log_evidence / np.log(10), 1, 6))
-    how = "practically certain" if power >= 4 else "very likely"
-    return f"{how} (odds of more than {POWERS_OF_TEN[power - 1]} to one)"
-
-
-def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
-    """What ``words.jinja`` says under a name of the study as a whole."""
-    size, unit = study.error_scale
-    short = ""
-    if study.unit == STANDARD_DEVIATIONS:  # of channels with several units
-        unit, short = "% of the standard deviation", " %"
-    return say(
-        __package__,
-        name,
-        study=study,
-        **_shared(study.last.held_out is not None),
-        present=study.present,
-        added=study.last.added,
-        size=size,
-        unit=spaced(unit),
-        short=short,
-        floor=study.last.judged.floor_words(size, short or spaced(unit)),
-        **facts,
-    )
-
-
-def _discovery(study: StudyRecord) -> Answer:
-    present = study.present
-    lacking = Answer("")
-    if present is not None and present.verdict != Verdict.NOTHING_MISSING:
-        lacking = answer("missing", present)
-    added = study.last.added
-    names = [one.name for one in added]
-    open_ = {one.name: one.lost for one in study.unestablished}
-    sure = []
-    unsure = []
-    for effect in added:
-        is_alone = names.count(effect.name) == 1  # in one equation
-        name = effect.name if is_alone else str(effect)
-        beside = _beside(study, effect)
-        if str(effect) in open_:
-            unsure.append(called(name, *beside, open_[str(effect)]))
-        else:
-            sure.append(called(name, *beside))
-    return said_of(study, "discovery", lacking=lacking, sure=sure, unsure=unsure)
-
-
-def _beside(study: StudyRecord, effect: Effect) -> tuple[str, str]:
-    """The present size of an effect that was added, and the others of its class."""
-    classes = ""
-    for finding in chain(*(one.findings for one in study.diagnoses.values())):
-        if effect in finding.effects:
-            classes = classes or alternatives(finding, str(effect))
-    return size_words(study.last.fit, effect, study.size(effect)), classes

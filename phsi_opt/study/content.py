@@ -54,15 +54,13 @@ from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import Scale, scale_of, scale_of_time
 from phsi_opt.screening.effect_size import NOT_DETERMINED, names_beside_size
 from phsi_opt.study.answers import (
-    answers_of,
-    asked,
     evidence_words,
     headline_of,
     nearest_candidate,
     odds_words,
-    only_follows,
     said_of,
     samples_to_average,
+    stopped_words,
 )
 from phsi_opt.study.record import Step, StudyRecord
 
@@ -113,7 +111,9 @@ def study_content(
     judging = [run for run in runs if run.part == runs[0].part]  # the first ones
     shown, shown_channel = foremost(judging, lambda one: one.change)
     described = said_of(study, "subtitle", origin=runs[0].origin, written=written)
-    is_overfitted = only_follows(study.last.train, study.last.judged)
+    floor = study.last.judged.noise_floor
+    is_overfitted = study.last.judged.rmse > 2 * floor > 0
+    is_overfitted = is_overfitted and study.last.train.rmse < FAILING_ERROR * floor
     errors_told = said_of(study, "how_errors_stand", is_overfitted=is_overfitted)
     headline = headline_of(study)
     return StudyContent(
@@ -138,7 +138,7 @@ def study_content(
         settings=_settings(study, headline),
         code=_code(study),
         added=tuple(map(str, study.last.added)),
-        stopped=study.stopped,
+        stopped=stopped_words(study),
         unestablished=tuple(one.name for one in study.unestablished),
         hold=study.train.hold,
     )
@@ -232,10 +232,8 @@ def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
     sure = [force for force in forces if not force.is_uncertain]
     return Diagnosed(
         proper_names(heading),
-        asked(answers_of(diagnosis)),
+        diagnosis.answers,
         str(diagnosis.verdict),
-        diagnosis.reason,
-        tuple(diagnosis.sentences),
         tuple(force_of(force, time) for force in sure[:4]),
         _ranking(study, place),
         tuple(map(str, diagnosis.proposed)),

@@ -29,7 +29,7 @@ from phsi_opt.later import Later
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
-from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_words
+from phsi_opt.presentation.content import ErrorStep, Follows
 from phsi_opt.presentation.numbers import (
     capitalised,
     change_words,
@@ -37,7 +37,7 @@ from phsi_opt.presentation.numbers import (
     number_of,
     proper_names,
 )
-from phsi_opt.presentation.summary import Part, Summary, printed_table
+from phsi_opt.presentation.summary import printed_table
 from phsi_opt.presentation.units import scale_of_errors, spaced
 from phsi_opt.screening.effect_size import Size, fitted_size, with_no_size
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -246,17 +246,6 @@ class StudyRecord:
         table.insert(0, "step", range(len(rows)))
         table.insert(5, "unit", self.unit)
         return table.astype({"held_out_rmse": float})
-
-    @property
-    def summary(self) -> Summary:
-        """The effects that were added, the history, and why the study stopped."""
-        added = ", ".join(map(str, self.last.added))
-        title = f"Study of {type(self.last.fit.model).__name__}"
-        title += f", added: {added}" if added else ", nothing added yet"
-        names = [one.name for one in self.unestablished]
-        words = (self.final_words, self.stopped, unestablished_words(names))
-        errors = Part("errors of free runs", table=self.history)
-        return Summary(title, (errors, Part(text="\n".join(filter(None, words)))))
 
     # ---- fits of further models ------------------------------------------------------
 

@@ -113,7 +113,9 @@ class Study(Summarised):
             self._say(self.record.last.train.warning)
 
     def _summary(self) -> Summary:
-        return self.record.summary
+        from phsi_opt.study.answers import summary_of
+
+        return summary_of(self.record)
 
     @property
     def steps(self) -> list[Step]:
@@ -363,7 +365,7 @@ class Study(Summarised):
         choice = EffectChoice(chosen, (*self._choice.without, *further.without))
         for _ in range(max_steps):
             diagnosis = self._diagnosed(choice, executor)
-            said = f"{diagnosis.verdict}: {diagnosis.reason}"
+            said = diagnosis.said
             self._say(said)
             proposed = diagnosis.proposed
             if not proposed and reach == Grade.STRONG:
