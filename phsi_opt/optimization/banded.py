@@ -34,9 +34,6 @@ TRANSPOSED_FROM = 3
 # From this number of states on `Chained` gains: below, the band is as fast.
 FEWEST_STATES = 14
 NEGLIGIBLE = 1e-18  # share of the largest slope that is only rounding
-# What touches its neighbours in a step hardly touches what is far away in several:
-# states that are so many places apart share a column at first.
-APART = 40
 PANEL = 8  # columns that are solved for together
 
 
@@ -169,7 +166,7 @@ class Passage:
         entries = slopes.tocoo()
         state = entries.row % n_states
         order = neighbours_first(state, entries.col % n_states, n_states)
-        self.rank = rank = np.argsort(order)
+        self.rank = np.argsort(order)
         self._n = n_states
         is_last = is_sample[begin + 1]
         sample = np.cumsum(is_sample) - 1
@@ -182,9 +179,6 @@ class Passage:
         self.last = slopes[self.of_last][:, self.samples]
         before = slopes[self.of_inside]
         self.first = before[:, self.samples]
-        touching = self.onward.tocoo()
-        distance = rank[touching.row % self._n] - rank[touching.col % self._n]
-        self._reach = int(np.max(np.abs(distance), initial=0))
         self._factors: Banded | None = None
         if len(self.inside):
             gap = (np.cumsum(is_last) - is_last)[~is_last]
@@ -233,43 +227,26 @@ class Passage:
     def _carried(self, blocks: csr_matrix, place: np.ndarray) -> csr_matrix:
         """What intervals inside add to whole gaps, but for rounding."""
         # ``blocks`` (n_inside, n_columns) has one block of columns per gap, that of the
-        # number ``place`` (n_gaps,).
-        apart = min(APART, self._n)
-        while (carried := self._carried_by(apart, blocks, place)) is None:
-            apart = min(2 * apart, self._n)
-        return carried
-
-    def _carried_by(
-        self, apart: int, blocks: csr_matrix, place: np.ndarray
-    ) -> csr_matrix | None:
-        """The same; None where states ``apart`` from each other still interact."""
+        # number ``place`` (n_gaps,). Gaps do not touch: one solution serves a column of
+        # every block.
         n = self._n
         entries = blocks.tocoo()
         largest = NEGLIGIBLE * np.max(np.abs(entries.data), initial=0.0)
-        column = self.rank[entries.col % n] % apart
-        parts: list[tuple[np.ndarray, ...]] = []
-        for first in range(0, apart, PANEL):
-            own = (column >= first) & (column < first + PANEL)
-            width = min(PANEL, apart - first)
+        column = entries.col % n
+        parts = []
+        for states in np.array_split(np.arange(n), -(-n // PANEL)):
+            own = (column >= states[0]) & (column <= states[-1])
             right = coo_matrix(
-                (entries.data[own], (entries.row[own], column[own] - first)),
-                shape=(blocks.shape[0], width),
+                (entries.data[own], (entries.row[own], column[own] - states[0])),
+                shape=(blocks.shape[0], len(states)),
             ).toarray(order="F")
             effect = -(self.onward @ self.followed(right))
             row, number = np.nonzero(np.abs(effect) > largest)
-            distance = number + first - self.rank[row % n]
-            if apart < n:
-                distance = (distance + apart // 2) % apart - apart // 2
-            rank = self.rank[row % n] + distance
-            is_far = np.abs(distance) >= apart // 2 - self._reach
-            if apart < n and np.any(is_far | (rank < 0) | (rank >= n)):
-                return None
-            parts.append((effect[row, number], row, rank))
-        value, row, rank = map(np.concatenate, zip(*parts, strict=True))
-        state = np.argsort(self.rank)[rank]
-        places = (row, place[row // n] * n + state)
+            into = place[row // n] * n + states[number]
+            parts.append((effect[row, number], row, into))
+        value, row, into = map(np.concatenate, zip(*parts, strict=True))
         shape = (len(place) * n, blocks.shape[1])
-        return coo_matrix((value, places), shape=shape).tocsr()
+        return csr_matrix((value, (row, into)), shape=shape)
 
 
 def neighbours_first(row: np.ndarray, column: np.ndarray, n_states: int) -> np.ndarray:
