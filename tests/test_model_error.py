@@ -19,7 +19,8 @@ from phsi_opt.estimation.likelihood_estimate import (
 )
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.model_error import ascent
-from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
+from phsi_opt.model_error.ascent import Evidence
+from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import (
     LENGTH,
     LINEAR_SHARE,

@@ -5,7 +5,7 @@
   the continuous system.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -20,7 +20,7 @@ from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.model_error import ascent
-from phsi_opt.model_error.disturbance_search import BRIEF_GAIN, DisturbanceSearch
+from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import (
     Coordinates,
     Disturbances,
@@ -493,8 +493,7 @@ def test_slopes_and_average_information_are_those_of_dense_algebra(
     if kind == "two forces":  # a time of its own, however short, has a slope
         d = replace(d, forces=(d.forces[0], replace(d.forces[1], time=0.05)))
     likelihood = MarginalLikelihood(problem, d, moving)
-    monkeypatch.setattr(ascent, "LEAST_PROBES", N_SIGNS)
-    monkeypatch.setattr(ascent, "MOST_PROBES", N_SIGNS)
+    monkeypatch.setattr(ascent, "PROBES", (N_SIGNS, N_SIGNS))
     monkeypatch.setattr(np.random, "default_rng", lambda _: OrthogonalSigns())
     found = ascent.slopes(likelihood, d, channels)
 
@@ -576,26 +575,34 @@ def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     d = cases(problem)[kind]
     coordinates = coordinates_of(d, (0,))
     likelihood = MarginalLikelihood(problem, d, moving)
-    found = ascent.climbed(likelihood, coordinates, (0,), ascent.MOST_STEPS)
+    found = ascent.climbed(likelihood, coordinates)
+    about = found.coordinates
     dense = Dense.of(problem, moving)
     white = cases(problem)["white"]
     constant = MarginalLikelihood(problem, white, moving).at(white).log_evidence
     constant -= dense.log_evidence(white, moving)
-    lower, upper = coordinates.bounds
+    zeros = np.zeros(len(coordinates.bounds[0]))
 
-    def negative(vector: np.ndarray) -> float:
-        there = coordinates.at(np.clip(vector, lower, upper))
-        return -dense.log_evidence(there, moving)
+    def negative_of(around: Coordinates) -> Callable[[np.ndarray], float]:
+        lower, upper = around.bounds
 
-    assert found.log_evidence - constant == pytest.approx(-negative(found.vector))
-    best = minimize(negative, found.vector, method="Nelder-Mead")
-    from_start = minimize(negative, np.zeros(len(lower)), method="Nelder-Mead")
+        def negative(vector: np.ndarray) -> float:
+            there = around.at(np.clip(vector, lower, upper))
+            return -dense.log_evidence(there, moving)
+
+        return negative
+
+    assert about is not None
+    here = dense.log_evidence(found.disturbances, moving)
+    assert found.log_evidence - constant == pytest.approx(here)
+    best = minimize(negative_of(about), zeros, method="Nelder-Mead")
+    from_start = minimize(negative_of(coordinates), zeros, method="Nelder-Mead")
     highest = -min(best.fun, from_start.fun)
     # An ascent ends at gains of 0.03, and with slopes from few random signs.
     assert highest - (found.log_evidence - constant) < 0.2
     # That of a brief re-fit gives a few of its steps away, and little evidence.
-    brief = ascent.climbed(likelihood, coordinates, (0,), ascent.MOST_STEPS, BRIEF_GAIN)
-    assert found.log_evidence - 2 * BRIEF_GAIN < brief.log_evidence
+    brief = ascent.climbed(likelihood, coordinates, least_gain=0.2)
+    assert found.log_evidence - 0.4 < brief.log_evidence
     assert brief.log_evidence <= found.log_evidence
 
 
@@ -606,9 +613,10 @@ def test_a_size_far_off_moves_by_two_logarithms_a_step(factor, first) -> None:
     (force,) = d.forces
     d = replace(d, forces=(replace(force, size=factor * force.size),))
     likelihood = MarginalLikelihood(problem, d, np.arange(3))
-    found = ascent.climbed(likelihood, coordinates_of(d, ()), (), most_steps=1)
-    assert found.vector[0] == pytest.approx(first)
-    assert abs(found.vector[1]) < 2.0 and found.gain > 10
+    found = ascent.climbed(likelihood, coordinates_of(d, ()), most_steps=1)
+    (moved,) = found.disturbances.forces
+    assert np.log(moved.size / (factor * force.size)) == pytest.approx(first)
+    assert abs(np.log(moved.time / force.time)) < 2.0 and found.gain > 10
 
 
 def test_a_function_gains_what_the_evidence_rises_by() -> None:

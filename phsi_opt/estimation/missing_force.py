@@ -273,8 +273,8 @@ class _Search:
                 least_noise=self.least_noise,
                 fixed_times=True,
             )
-            sized = climbed(found.likelihood, coordinates, self.channels, 8)
-            problem = replace(problem, disturbances=coordinates.at(sized.vector))
+            sized = climbed(found.likelihood, coordinates, most_steps=8)
+            problem = replace(problem, disturbances=sized.disturbances)
             if sized.gain < SETTLED_EVIDENCE and found.has_converged:
                 break
         n_forced = len(first.forces)

@@ -17,7 +17,7 @@ components: Lin, Biometrika 84, 1997).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -38,21 +38,11 @@ from phsi_opt.model_error.marginal_likelihood import (
 )
 from phsi_opt.statistics import TINY
 
-# Random vectors: as many as together look at 8000 values, within these limits.
-LEAST_PROBES = 6
-MOST_PROBES = 24
-# Random vectors for the slopes at size zero: each is then known to about a third of its
-# standard deviation.
-N_SIGNS = 8
+PROBES = (6, 24)  # random vectors for traces, at least and at most
 LEAST_INFORMATION = 0.1  # of a coordinate: a size without information moves freely
-MOST_STEPS = 25
-# Gain of the log evidence by a step at which an ascent ends: far below what makes a
-# difference to a standard error, and about what the random signs leave open.
-LEAST_GAIN = 0.03
 # Gain by better sizes, of a record linearised where others led, at which these stay: it
 # makes no difference to a verdict.
 SETTLED_EVIDENCE = 0.1
-PRIOR_STEP = 1e-4  # of the logarithm of a time, for slopes of priors
 
 
 # --- Slopes
@@ -80,6 +70,7 @@ class Component:
     whitener: Whitener  # of its values at size one
     # F with F'F what its prior of size one makes of the projected data.
     normals: np.ndarray
+    log_step: float = 1e-4  # of the time, for slopes of the prior
 
     @classmethod
     def of(
@@ -122,13 +113,13 @@ class Component:
         """Of its two diagonals."""
         diagonal, below = self.whitener.precision
         later, later_below = self._later.precision
-        scale = self.process.size**2 * PRIOR_STEP
+        scale = self.process.size**2 * self.log_step
         return (later - diagonal) / scale, (later_below - below) / scale
 
     @cached_property
     def _later(self) -> Whitener:
         """Of a time that is a little longer."""
-        return self.site.whitener(self.process.time * float(np.exp(PRIOR_STEP)))
+        return self.site.whitener(self.process.time * float(np.exp(self.log_step)))
 
     @property
     def moved_by_time(self) -> np.ndarray:
@@ -143,7 +134,7 @@ class Component:
         found = size * self.whitener.coloured(signs - pulled)
         of_signs = self.slope_of_precision(self.whitener.coloured(signs) * size)
         trace = float(np.mean(np.sum(found * of_signs, axis=0)))
-        d_log_det = (self._later.log_det - self.whitener.log_det) / PRIOR_STEP
+        d_log_det = (self._later.log_det - self.whitener.log_det) / self.log_step
         return d_log_det - (change + trace) / 2
 
 
@@ -187,7 +178,8 @@ def slopes(
     columns = np.hstack(changes)
     shifts = columns if sums is None else columns @ sums.T
 
-    n_probes = int(np.clip(8_000 // problem.n_values, LEAST_PROBES, MOST_PROBES))
+    # As many as together look at 8000 values.
+    n_probes = int(np.clip(8_000 // problem.n_values, *PROBES))
     lengths = (problem.n_values, *(len(one.normals) for one in components))
     of_values, *of_components = random_signs(lengths, n_probes)
     root = np.sqrt(system.weights)[:, None]
@@ -230,42 +222,45 @@ def _shifts_by_noise(system: OptimalitySystem, channels: Sequence[int]) -> np.nd
 
 
 @dataclass(frozen=True, eq=False)
-class Climbed:
-    """Where an ascent ended."""
+class Evidence:
+    """Disturbances with the logarithm of their marginal likelihood."""
 
-    vector: np.ndarray  # (n_coordinates,)
-    log_evidence: float  # there
-    gain: float  # of it since the origin
-    # There, (n_coordinates, n_coordinates), how surely it ended there.
-    information: np.ndarray
+    disturbances: Disturbances  # with their sizes
+    log_evidence: float  # up to a constant of the record
+    gain: float = 0.0  # of it since the origin of an ascent
+    # About these disturbances, where an ascent found them.
+    coordinates: Coordinates | None = None
+    # Of the coordinates, (n_coordinates, n_coordinates), about the curvature.
+    information: np.ndarray | None = None
 
 
 def climbed(
     likelihood: MarginalLikelihood,
     coordinates: Coordinates,
-    channels: tuple[int, ...],
-    most_steps: int,
+    most_steps: int = 25,
     worth: float = -np.inf,
-    least_gain: float = LEAST_GAIN,
-) -> Climbed:
+    least_gain: float = 0.03,
+) -> Evidence:
     """The largest log evidence, by damped Newton steps from the coordinates' origin.
 
     Args:
         likelihood: of the structure of the origin.
         coordinates: with their bounds.
-        channels: states whose noise is estimated.
         most_steps: uphill, at most.
         worth: log evidence below which what is found is of no use; an ascent ends where
             it promises no more.
-        least_gain: of the log evidence by a step, at which they end.
+        least_gain: of the log evidence by a step, at which they end. The default is far
+            below what makes a difference to a standard error, and about what the random
+            signs leave open.
     """
     lower, upper = coordinates.bounds
     sums = coordinates.among_slopes()
 
     def slopes_at(vector: np.ndarray) -> Slopes | None:
         """None where the states do not follow from the data."""
+        disturbances = coordinates.at(vector)
         try:
-            found = slopes(likelihood, coordinates.at(vector), channels, sums)
+            found = slopes(likelihood, disturbances, coordinates.channels, sums)
         except SolveError:
             return None
         return found if np.isfinite(found.log_evidence) else None
@@ -275,7 +270,8 @@ def climbed(
     damping = 0.1
     here = slopes_at(vector)
     if here is None:
-        return Climbed(vector, -np.inf, 0.0, np.zeros((len(vector), len(vector))))
+        none = np.zeros((len(vector), len(vector)))
+        return Evidence(coordinates.origin, -np.inf, 0.0, coordinates, none)
     first = here.log_evidence
     for _ in range(most_steps):
         leads_out = (vector <= lower) & (here.gradient < 0)
@@ -299,8 +295,14 @@ def climbed(
         damping = max(damping / 10, 1e-3)
         if gain < least_gain:
             break
-    gain = here.log_evidence - first
-    return Climbed(vector, here.log_evidence, gain, here.information)
+    disturbances = coordinates.at(vector)
+    return Evidence(
+        disturbances=disturbances,
+        log_evidence=here.log_evidence,
+        gain=here.log_evidence - first,
+        coordinates=replace(coordinates, origin=disturbances),
+        information=here.information,
+    )
 
 
 def _promise(here: Slopes, moves: np.ndarray) -> float:
@@ -396,7 +398,9 @@ def _slopes_at_zero(
     sizes: np.ndarray,
 ) -> np.ndarray:
     """Slopes of the log evidence in the variance of each kind, over given sizes."""
-    signs = random_signs(tuple(len(one.normals) for one in components), N_SIGNS)
+    # Each is then known to about a third of its standard deviation.
+    n_signs = 8
+    signs = random_signs(tuple(len(one.normals) for one in components), n_signs)
     owner = np.searchsorted(firsts, np.arange(len(components)), side="right") - 1
     roots = np.sqrt(sizes[owner])
     signals = 0.0
@@ -405,7 +409,7 @@ def _slopes_at_zero(
     projected = system.projected(np.asarray(signals))
     by_chance = []
     for one, drawn in zip(components, signs, strict=True):
-        by_chance.append(np.sum(drawn * one.pulled(projected)) / N_SIGNS)
+        by_chance.append(np.sum(drawn * one.pulled(projected)) / n_signs)
     squares = np.add.reduceat([one.squares for one in components], firsts) / sizes
     found = (squares - np.add.reduceat(by_chance / roots, firsts)) / 2
     # That of a channel whose residuals are zero is beyond numbers.

@@ -15,7 +15,7 @@ import numpy as np
 
 from phsi_opt.criteria import STRONG_EVIDENCE
 from phsi_opt.errors import SolveError
-from phsi_opt.model_error.ascent import LEAST_GAIN, MOST_STEPS, climbed, first_gains
+from phsi_opt.model_error.ascent import Evidence, climbed, first_gains
 from phsi_opt.model_error.disturbances import (
     MOST_SIZES,
     Coordinates,
@@ -33,9 +33,6 @@ FORCE_SHARES = (0.1, 0.01)
 # the limit: a model that lacks more is wrong and not inexact, and a smooth function of
 # any size would imitate the corner of a friction that is not smooth.
 FUNCTION_SHARES = (0.003, 0.01, 0.03, 0.1)
-# Gain of the log evidence by a step at which the ascent of a re-fit ends: it moves its
-# standard errors by a few percent.
-BRIEF_GAIN = 0.2
 # Share of the evidence that is asked for, from which the first step of a search makes
 # the others worth while: of 37 records in which a search found something all promised
 # more; of 27 in which it found nothing, and no error was put in, four did.
@@ -44,18 +41,6 @@ PROMISING_SHARE = 0.5
 # search found something, three promised less than half and one, in which no force was
 # put, less than this; of 40 of 8 masses in which no force was put ten promised more.
 PROMISING_SHARE_TIED = 0.25
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """Disturbances with the logarithm of their marginal likelihood."""
-
-    disturbances: Disturbances  # with their sizes
-    log_evidence: float  # up to a constant of the record
-    # In which they were found; None: they were given.
-    coordinates: Coordinates | None = None
-    # Of them, (n_coordinates, n_coordinates), about its curvature; None likewise.
-    information: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +228,7 @@ class DisturbanceSearch:
     def best_of(
         self,
         starts: Sequence[Disturbances],
-        most_steps: int = MOST_STEPS,
+        most_steps: int = 25,
         worth: float = -np.inf,
     ) -> Evidence:
         """The most likely disturbances, searched from the best of some starts.
@@ -266,13 +251,10 @@ class DisturbanceSearch:
             longest=self._longest,
             largest_functions=tuple(largest.tolist()),
         )
-        least_gain = BRIEF_GAIN if self.is_brief else LEAST_GAIN
-        found = climbed(
-            likelihood, coordinates, self.channels, most_steps, worth, least_gain
-        )
-        disturbances = coordinates.at(found.vector)
-        moved = replace(coordinates, origin=disturbances)
-        return Evidence(disturbances, found.log_evidence, moved, found.information)
+        if not self.is_brief:
+            return climbed(likelihood, coordinates, most_steps, worth)
+        # It moves the standard errors of a re-fit by a few percent.
+        return climbed(likelihood, coordinates, most_steps, worth, least_gain=0.2)
 
     # --- Where searches begin
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from phsi_opt.criteria import CHANCE_LEVEL, SURE_LEVEL
 from phsi_opt.errors import SolveError
-from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
+from phsi_opt.model_error.ascent import Evidence
+from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border

@@ -243,8 +243,8 @@ class Weighing(WithMeasurements):
             longest=self.longest,
             largest_functions=tuple(rates[[f.equation for f in sizes.functions]]),
         )
-        found = climbed(likelihood, coordinates, self.channels, CLIMBS_OF_A_ROUND)
-        sizes = coordinates.at(found.vector)
+        found = climbed(likelihood, coordinates, CLIMBS_OF_A_ROUND)
+        sizes = found.disturbances
         forces = []
         for force in sizes.forces:
             rate = float(rates[force.place])
