@@ -28,11 +28,6 @@ from phsi_opt.initialization.relative_guesses import corner_widths, values_at
 from phsi_opt.model.parameters import Share
 from phsi_opt.transcription.grid import steps_per_gap
 
-# Share of the present width over which the slope of the deviance is taken.
-NEARBY_WIDTH = 0.99
-STEPS_OF_A_STAGE = 15  # in a brief re-fit
-MOST_SECANTS = 3  # between a width that is too blunt and one that is too sharp
-
 
 def sharpened(
     problem: LikelihoodProblem, estimate: LikelihoodEstimate
@@ -83,11 +78,13 @@ class _Sharpening:
         high: tuple[float, float],
         estimate: LikelihoodEstimate,
     ) -> LikelihoodEstimate:
-        """The best estimate met by secants between a stage too low and one too high.
+        """The best estimate met by three secants between a low and a high stage.
+
+        Corners are too blunt at the one, and too sharp at the other.
 
         Each stage comes with the fall of its deviance.
         """
-        for _ in range(MOST_SECANTS):
+        for _ in range(3):
             share = high[1] / (high[1] - low[1])
             stage = high[0] - share * (high[0] - low[0])
             found = self.at(stage, estimate)
@@ -104,9 +101,10 @@ class _Sharpening:
     def fall(self, estimate: LikelihoodEstimate) -> float:
         """By how much the deviance would fall with corners sharp without end."""
         model = estimate.model
-        widths = {name: NEARBY_WIDTH * model.values[name] for name in self.corners}
+        nearby = 0.99  # of the present width, for the slope of the deviance
+        widths = {name: nearby * model.values[name] for name in self.corners}
         change = estimate.deviance_change(model.with_values(widths))
-        return change / float(np.log(NEARBY_WIDTH))
+        return change / float(np.log(nearby))
 
     def at(
         self, stage: float, estimate: LikelihoodEstimate
@@ -138,7 +136,7 @@ class _Sharpening:
             if task.settings.thorough:
                 found = problem.solve_from(there)
             else:  # few full steps lead there, or hardly anything does
-                found = problem.solve(there, most_steps=STEPS_OF_A_STAGE)
+                found = problem.solve(there, most_steps=15)
             return found if found.is_success else None
         return None
 

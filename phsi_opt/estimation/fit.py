@@ -58,9 +58,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FORMAT = "phsi_opt fit 2"
-PLOTTED_LEVEL = 0.95  # of confidence: the convention of most tables and pictures
-# Ratio of two standard errors beyond which the report gives both.
-DIFFERENT_STD_ERRORS = 4 / 3
 IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+\.\d{7,}(?:e[+-]?\d+)?")
 
@@ -582,10 +579,11 @@ class Fit(Identified, Summarised):
         from phsi_opt.presentation.pictures import plot_estimates
 
         table = self.parameters.set_index("name").loc[list(self.names)]
-        table["half_width"] = self._std_errors_within(PLOTTED_LEVEL)
+        level = 0.95  # the convention of most tables and pictures
+        table["half_width"] = self._std_errors_within(level)
         table["half_width"] *= table["std_error"]
         table["at_bound"] = table.index.isin(self.outcome.at_bounds)
-        return plot_estimates(table.reset_index(), PLOTTED_LEVEL, ax)
+        return plot_estimates(table.reset_index(), level, ax)
 
     def _summary(self) -> Summary:
         """For notebooks and rich: as the text, the parameters in a table."""
@@ -670,10 +668,10 @@ def equation_lines(fit: Fit) -> list[str]:
 
 def _remarks(fit: Fit) -> list[str]:
     """What ``answers.jinja`` says: noise, standard errors, solver, warnings."""
-    # By how much others sources differ, where they do.
+    # By how much other sources differ, where it is more than a third.
     errors = fit.standard_errors.drop(columns="freedom")
     ratios = errors.div(errors.pop("std_error"), axis=0).agg(["min", "max"]).T
-    limit = DIFFERENT_STD_ERRORS
+    limit = 4 / 3
     different = ratios[(ratios["max"] >= limit) | (ratios["min"] <= 1 / limit)]
     rows = different.drop(index=str(fit.std_error_source), errors="ignore").itertuples()
     return lines(__package__, "remarks", fit=fit, different=list(rows)).splitlines()

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 COLUMNS = "name slot equation value std_error lower upper unit fixed"  # of parameters
 DIGITS = 6  # of printed numbers: more than most data tell
-MOST_TERMS = 2_000  # that a right-hand side is multiplied out to: some seconds
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,7 +96,7 @@ class Identified:
             along directions) and the right-hand side ``d<state>/dt``; for a direction
             of R, such as "p1 - p2", ``R_p1_p2``. They are in the names of states,
             inputs and ``t``; right-hand sides are multiplied out where that gives no
-            more than `MOST_TERMS` terms.
+            more than 2000 terms, which takes some seconds.
         """
         import sympy as sp
 
@@ -121,7 +120,7 @@ class Identified:
         by_state = (model.states, parts.force, parts.rates)
         for state, force, rate in zip(*by_state, strict=True):
             expressions[f"F_{state}"] = sp.sympify(force)
-            is_short = n_expanded(rate) <= MOST_TERMS
+            is_short = n_expanded(rate) <= 2_000
             expressions[f"d{state}/dt"] = sp.expand(rate) if is_short else rate
         plain = {symbol: sp.Symbol(symbol.name) for symbol in (*x, *u, t, *own)}
         return {name: e.xreplace(plain) for name, e in expressions.items()}

@@ -51,8 +51,6 @@ from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.sensors import outputs
 
-MOST_SOLVES = 5  # each followed by better sizes
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LikelihoodEstimate(Estimate):
@@ -161,8 +159,8 @@ class LikelihoodEstimate(Estimate):
 
     def _predicted(self, theta: np.ndarray) -> np.ndarray:
         """Defects and outputs of other parameters at the states, all in a row."""
-        known, model = self.unknown.by_trajectory(theta), self.model
-        grid, x = self.grid, self.nodes
+        known = self.unknown.by_trajectory(theta)
+        model, grid, x = self.model, self.grid, self.nodes
         d = parameter_slopes(model, grid, self.loss.integrator, known, x, []).d
         return np.r_[d.ravel(), outputs(model, grid, x, known).ravel()]
 
@@ -357,7 +355,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     evidence = -np.inf
     move = np.inf
     joint = None
-    for _ in range(MOST_SOLVES):
+    for _ in range(5):  # solves, each after better sizes
         found = search.best_of([disturbances])
         disturbances = found.disturbances
         is_settled = found.log_evidence < evidence + SETTLED_EVIDENCE

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.noise_estimation import NOISE_TOLERANCE, NoiseIteration
+from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.model_error.joint_estimate import (
     EXACTLY,
     NEARLY_HELD,
@@ -97,7 +97,7 @@ def by_steps(
         updated = noise.updated(sigma, residual)
         change = noise.change(sigma, updated)
         sigma = updated
-        has_settled = change < NOISE_TOLERANCE
+        has_settled = change < noise.tolerance
         is_exact = max(joint.remaining, change) < EXACTLY.length
         is_found = is_exact or (has_settled and target is EXACTLY)
         if is_found:
@@ -232,8 +232,9 @@ def _settled(
         if not solution.outcome.success or not noise.is_estimated.any():
             break
         updated = noise.updated(sigma, solution.residual)
-        has_settled = noise.change(sigma, updated) < NOISE_TOLERANCE
-        z, sigma = solution.z, updated
+        has_settled = noise.change(sigma, updated) < noise.tolerance
+        z = solution.z
+        sigma = updated
         if has_settled:
             solution = solver.solution(z, sigma, solution.outcome)
             break

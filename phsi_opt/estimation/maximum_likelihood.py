@@ -50,16 +50,6 @@ from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import PHSILoss
 from phsi_opt.transcription.parameter_vector import Theta
 
-# Difference of -2 log likelihood up to which two starts found the same optimum: far
-# below what one parameter more explains by chance, far above the solver's tolerance.
-SAME_DEVIANCE = 0.1
-# Standard deviation of the logarithm of the factor on a value: one value in three is
-# more than doubled or halved.
-LOG_FACTOR_SPREAD = 0.7
-# Standard deviation of what is added to a value of zero, in units of the parameter's
-# size.
-SHIFT_SPREAD = 0.3
-
 
 def by_likelihood(problem: LikelihoodProblem, start: Fit | None) -> LikelihoodEstimate:
     """The maximum of the likelihood from the best of the starting points.
@@ -237,7 +227,9 @@ def best_optimum(
     best = likeliest(estimates)
     notes = first.notes
     if len(estimates) > 1:
-        limit = best.deviance + SAME_DEVIANCE
+        # Far below what one parameter more explains by chance, far above the solver's
+        # tolerance.
+        limit = best.deviance + 0.1
         n_agreeing = sum(e.is_success and e.deviance < limit for e in estimates)
         agreement = f"{n_agreeing} of {len(estimates)} starting points"
         notes = (*notes, f"{agreement} led to the best solution")
@@ -264,9 +256,9 @@ def _random_values(
     problem: LikelihoodProblem, first: StartingPoint
 ) -> list[np.ndarray]:
     """Values (n_theta,) of the points besides the first, ``starts`` of the loss."""
-    # Those of the first times a log-normal factor; values of zero are moved by a share
-    # of the parameter's size: the change that moves some equation by the size of its
-    # rate.
+    # Those of the first times a log-normal factor, by which one in three is more than
+    # doubled or halved; values of zero are moved by a share of the parameter's size:
+    # the change that moves some equation by the size of its rate.
     n_further = problem.loss.starts - 1
     if not n_further:
         return []
@@ -275,12 +267,12 @@ def _random_values(
     x_spread = np.maximum(np.std(x, axis=0), LEAST_SIZE)
     means = unknown.means(first.theta)
     sizes = theta_scale(first.model, problem.task.grid, means, x, x_spread)
-    shift = SHIFT_SPREAD * unknown.spread(sizes)
+    shift = 0.3 * unknown.spread(sizes)
     rng = np.random.default_rng(0)  # the same points every time
     found = []
     for _ in range(n_further):
         for_factor, for_shift = rng.normal(size=(2, len(first.theta)))
-        scaled = first.theta * np.exp(LOG_FACTOR_SPREAD * for_factor)
+        scaled = first.theta * np.exp(0.7 * for_factor)
         moved = np.where(first.theta != 0, scaled, shift * for_shift)
         found.append(np.clip(moved, unknown.lower, unknown.upper))
     return found

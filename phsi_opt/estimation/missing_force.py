@@ -38,17 +38,7 @@ from phsi_opt.transcription.parameter_vector import Point, Theta
 Forces = tuple[Process, ...]
 
 NO_PARAMETERS = np.zeros(0, dtype=int)  # that are free to move
-ROUNDS_OF_A_SEARCH = 3  # of steps with given sizes, each followed by better sizes
 ROUNDER = (4.0, 16.0, 64.0)  # factors on the width of corners that are too sharp
-# Estimated noise over the scatter of neighbouring samples from which a sensor is
-# doubted: it contradicts another one, which no force explains.
-DOUBTFUL_NOISE = 1.5
-# Correlation time of a sensor's noise, in sampling intervals, up to which it is noise:
-# neighbours with a correlation of 0.7 have 2.8. What lasts longer may be an effect.
-BRIEF_NOISE = 5.0
-# Factor on the size of the rates along the estimated states: from a force so large the
-# second search comes down.
-SIZE_OF_SECOND_SEARCH = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,14 +127,14 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     estimate = search.begun_at(first)
 
     def is_doubtful(found: ForceEstimate) -> bool:
-        return bool(np.any(measured & (found.white > DOUBTFUL_NOISE * scatter)))
+        return bool(np.any(measured & (found.white > 1.5 * scatter)))
 
     if is_doubtful(estimate):
         rates = np.sqrt(np.mean(grid.rates(estimate.x) ** 2, axis=0))
         larger = []
         for force in estimate.disturbances.forces:
             size = max(float(rates[force.place]), force.size)
-            larger.append(replace(force, size=SIZE_OF_SECOND_SEARCH * size))
+            larger.append(replace(force, size=10 * size))
         with suppress(SolveError):
             larger_first = replace(first, sigma=scatter, forces=tuple(larger))
             second = search.begun_at(larger_first)
@@ -159,8 +149,12 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
 
 
 def longest_noise(grid: Grid) -> float:
-    """Correlation time up to which an error of a sensor is noise."""
-    return BRIEF_NOISE * float(np.median(grid.h))
+    """Correlation time up to which an error of a sensor is noise.
+
+    Five sampling intervals: neighbours with a correlation of 0.7 have 2.8. What lasts
+    longer may be an effect.
+    """
+    return 5 * float(np.median(grid.h))
 
 
 def generous_force(model: Model, grid: Grid, point: Point) -> Forces:
@@ -234,7 +228,7 @@ class _Search:
     ) -> ForceEstimate:
         """States and missing force, with sizes of force and noise by evidence.
 
-        Solves are each followed by better sizes.
+        Three solves at most, each followed by better sizes.
 
         Raises:
             SolveError: no states and force were found that obey the dynamics.
@@ -246,7 +240,7 @@ class _Search:
         problem = JointProblem(Linearizer(values), first, NO_PARAMETERS)
         last = None
         z = point.scaled
-        for n_left in reversed(range(ROUNDS_OF_A_SEARCH)):
+        for n_left in reversed(range(3)):
             found = problem.optimum(z, beside=last)
             if _is_lost(found):
                 # A force large enough lets the states follow the data, whatever the

@@ -16,13 +16,6 @@ from phsi_opt.errors import DataError
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-# Change of the logarithm of the noise at which its estimate stays: a tenth of its
-# standard error with 200 values.
-NOISE_TOLERANCE = 0.005
-# Least noise over what neighbouring samples scatter: a force in the equation of a
-# measured position can go through every sample, and the noise would come out as 1e-14.
-# Not more, as steps that are coarse for the motion scatter by its curvature.
-LEAST_NOISE_BESIDE_SCATTER = 0.01
 # Share of the measured values, at least, that counts: with fewer a variance would be
 # divided by what is nearly zero.
 LEAST_COUNTED = 0.1
@@ -49,9 +42,10 @@ class NoiseLevels:
         known = np.array([declared.get(name, np.nan) for name in data.states])
         is_known = np.isfinite(known)
         scatter = np.where(is_known, known, initial_noise(data))
-        least = np.maximum(
-            quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter
-        )
+        # A force in the equation of a measured position can go through every sample,
+        # and the noise would come out as 1e-14. Not more than a hundredth, as steps
+        # that are coarse for the motion scatter by its curvature.
+        least = np.maximum(quantisation_noise(data), 0.01 * scatter)
         return cls(scatter, is_known, least)
 
     @classmethod
@@ -88,6 +82,9 @@ class NoiseIteration:
     huber: float | None  # limit of the loss, or None
     has_l1: bool  # whether the program has an L1 term
     least: np.ndarray  # (n_states,) below which none is estimated: that of quantisation
+    # Change of the logarithm of the noise at which its estimate stays: a tenth of its
+    # standard error with 200 values.
+    tolerance: float = 0.005
 
     def updated(self, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """The noise that ``residual`` shows, which the program has with ``sigma``.
@@ -97,7 +94,8 @@ class NoiseIteration:
         that normal noise would leave within it is divided out (proposal 2 of Huber
         1964).
         """
-        grid, huber = self.grid, self.huber
+        grid = self.grid
+        huber = self.huber
         n_values = len(grid.channel)
         standardized = residual * np.sqrt(n_values / 2)
         n_used = self.n_theta + len(grid.starts) * grid.y.shape[1]

@@ -29,20 +29,6 @@ from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import local_errors
 from phsi_opt.transcription.grid import steps_per_gap
 
-# Residuals over the scatter of neighbouring samples up to which they are no more than
-# it: that of a few hundred samples is known to about a tenth.
-AT_SCATTER = 1.25
-# Share of a channel's standard deviation that residuals reach, at least, in an optimum
-# that is far off. A motion out of step leaves its own size: 0.53 to 1 in ten wrong
-# optima of swinging machines. Forces of 1 to 5 % that a model lacked left up to 0.26 in
-# 74 right ones.
-FAR_OFF_SHARE = 0.3
-MOST_INTERVALS = 64  # between two samples
-# Integration error that is refined: share of a standard error, or of the noise.
-VISIBLE_ERROR = 0.1
-ORDER = 4  # the error of an interval's integration, per length, falls with h^ORDER
-
-
 # What to do about outliers.
 HUBER = "spikes count less with a Huber loss, MaximumLikelihood(huber=1.345)"
 
@@ -72,14 +58,17 @@ def _rms_residual(estimate: LikelihoodEstimate) -> np.ndarray:
 def is_at_scatter(estimate: LikelihoodEstimate) -> bool:
     """Whether it is an optimum whose residuals are what neighbouring samples scatter.
 
-    And a small share of the motion, so that it cannot be out of step with it.
+    The scatter of a few hundred samples is known to about a tenth. Residuals are a
+    small share of the motion, too. A motion out of step leaves its own size: 0.53 to 1
+    of it in ten wrong optima of swinging machines. Forces of 1 to 5 % that a model
+    lacked left up to 0.26 in 74 right ones.
     """
     if not estimate.is_success:
         return False
     is_measured = estimate.grid.measured_states
-    limit = FAR_OFF_SHARE * channel_spread(estimate.task.data)
+    limit = 0.3 * channel_spread(estimate.task.data)
     is_small = np.all((_rms_residual(estimate) <= limit)[is_measured])
-    return bool(is_small) and _worst_ratio(estimate)[0] < AT_SCATTER
+    return bool(is_small) and _worst_ratio(estimate)[0] < 1.25
 
 
 def residual_warnings(
@@ -129,11 +118,15 @@ def residual_warnings(
 # ---- integration error ---------------------------------------------------------------
 
 
-def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
+def finer_steps(
+    estimate: LikelihoodEstimate, visible_error: float = 0.1, most: int = 64
+) -> list[np.ndarray] | None:
     """More steps where the integration error moves the estimates, or residuals.
 
-    By more than `VISIBLE_ERROR`; None where those of the estimate are enough, or as
-    many as there may be. Their number grows with the fourth root of the error.
+    By more than a visible share of a standard error, or of the noise. None where those
+    of the estimate are enough, or as many as there may be, ``most`` between two
+    samples. Their number grows with the fourth root of the error, which falls with the
+    fourth power of an interval's length.
     """
     parameters = estimate.unknown.by_trajectory(estimate.theta)
     error = local_errors(estimate.model, estimate.grid, estimate.nodes, parameters)
@@ -141,14 +134,14 @@ def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
     is_lost = ~np.isfinite(error).all(axis=1)
     known_error = np.where(is_lost[:, None], 0.0, error)
     visible = _visible_share(estimate, known_error)
-    if visible < VISIBLE_ERROR and not is_lost.any():
+    if visible < visible_error and not is_lost.any():
         return None
     # Factors on the intervals that bring the visible share down, a fifth more than is
     # wanted; at most 16 at once, and 4 where the finer integration left the numbers.
     size = np.linalg.norm(known_error, axis=1)
     typical = np.sum(size**2) / max(np.sum(size), TINY)
-    fall = 1.2 * visible / VISIBLE_ERROR * size / max(typical, TINY)
-    factor = np.clip(np.ceil(fall ** (1 / ORDER)), 1, 16)
+    fall = 1.2 * visible / visible_error * size / max(typical, TINY)
+    factor = np.clip(np.ceil(fall ** (1 / 4)), 1, 16)
     factor = np.where(is_lost, 4, factor).astype(int)
     steps = steps_per_gap(estimate.grid)
     old = np.concatenate(steps)
@@ -157,7 +150,7 @@ def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
     sample = np.cumsum(grid.sample)[grid.begin] - 1
     largest = np.ones_like(old)
     np.maximum.at(largest, sample - grid.runs, factor)
-    new = np.minimum(old * largest, MOST_INTERVALS)
+    new = np.minimum(old * largest, most)
     if np.array_equal(old, new):
         return None
     return np.split(new, np.cumsum(list(map(len, steps)))[:-1])

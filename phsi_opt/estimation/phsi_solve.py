@@ -31,11 +31,6 @@ from phsi_opt.transcription.losses import (
 )
 from phsi_opt.transcription.parameter_vector import Theta
 
-# Objectives that differ by less, relative and absolute, are one optimum: the solver's
-# tolerance is 1e-8.
-SAME_OPTIMUM = 1e-6
-SAME_OPTIMUM_AT_ZERO = 1e-12
-
 E = TypeVar("E", bound=Estimate)
 
 
@@ -193,7 +188,8 @@ def best_of_starts(
     if len(estimates) == 1:
         return best
     objectives = [e.solution.outcome.objective for e in estimates]
-    limit = min(objectives) * (1 + SAME_OPTIMUM) + SAME_OPTIMUM_AT_ZERO
+    # The solver's tolerance is 1e-8.
+    limit = min(objectives) * (1 + 1e-6) + 1e-12
     n_agreeing = sum(objective <= limit for objective in objectives)
     note = f"{n_agreeing} of {len(estimates)} starting values led to the best solution"
     return replace(best, notes=(note,))

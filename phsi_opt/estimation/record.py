@@ -52,17 +52,8 @@ from phsi_opt.transcription.sensors import outputs_at_samples
 
 # The noise is known and the start is near, so a brief solve is enough.
 BRIEF_SOLVE = SolverSettings(max_iterations=60, thorough=False)
-STEP_REFINEMENTS = 2  # how often the steps along a record are made finer, at most
-FINER = 4  # factor on the steps where their error shows beside the residuals
-MOST_SHOTS = 12  # free runs and their slopes, from each start
-MOST_REFINED_STATES = 50_000  # values beyond which steps are not made finer
 Runs = tuple[np.ndarray, ...]  # (n_samples, n_states) each
 Parameters = Mapping[str, Mapping[str, float]]  # free ones, by trajectory and name
-# Standard deviations of the measurements: stands for a free run that broke off.
-DIVERGED_RUN = 1e3
-# Error of a free run, in standard deviations of the measurements, from which a constant
-# (one) describes them better by far: a motion out of step with them has 1.4.
-LEAVING_ERROR = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +237,7 @@ def _likeliest_run(
     best = x[0]
     for start in np.unique([x[0], x[0] + away, x[0] - away], axis=0):
         scale = np.where(spread > 0, spread, 1.0)
-        found = least_squares(misfit, start, x_scale=scale, max_nfev=MOST_SHOTS)
+        found = least_squares(misfit, start, x_scale=scale, max_nfev=12)
         best = min(best, found.x, key=lambda one: float(np.sum(misfit(one) ** 2)))
     return free_runs(model, aligned, [best[None]], record.parameters)[0][0]
 
@@ -270,14 +261,15 @@ def _most_likely_states(
     along = (record.aligned, sigma, likelihood_of(fit), model)
     likely = partial(maximum_along, *along, parameters=record.parameters)
     state = likely(guess, steps)
-    for _ in range(STEP_REFINEMENTS):
-        if state is None or FINER * state.nodes.size > MOST_REFINED_STATES:
+    finer = 4
+    for _ in range(2):
+        if state is None or finer * state.nodes.size > 50_000:
             break
         # Beside large residuals an integration error does not show.
         size = np.sqrt(max(state.solution.outcome.objective, 1.0))
         if finer_steps(replace(state, sigma=size * state.sigma)) is None:
             break
-        steps = tuple(FINER * n for n in steps)
+        steps = tuple(finer * n for n in steps)
         refined = likely(state.states, steps)
         if refined is None:
             break
@@ -346,7 +338,10 @@ def free_runs(
     states: Sequence[np.ndarray],
     parameters: Parameters,
 ) -> tuple[Runs, Runs, Runs]:
-    """Simulated states, what the sensors show of them, and measured minus shown."""
+    """Simulated states, what the sensors show of them, and measured minus shown.
+
+    Numbers far beyond the measurements stand for a run that broke off.
+    """
     data = aligned.data
     simulated = []
     for run, known in zip(data.trajectories, states, strict=True):
@@ -360,7 +355,7 @@ def free_runs(
                 x = free_run(own, t, x0, u, data.hold)
             except SolveError:
                 is_first = np.arange(end - begin)[:, None] == 0
-                x = np.where(is_first, x0, DIVERGED_RUN * np.nanstd(run.x))
+                x = np.where(is_first, x0, 1e3 * np.nanstd(run.x))
             pieces.append(x)
         simulated.append(np.vstack(pieces))
     theta = parameter_matrix(model, parameters)
@@ -376,7 +371,8 @@ def leaving_words(model: Model, data: Measurements, residuals: Runs) -> str:
     squares = np.concatenate(residuals)[:, places] ** 2
     errors = np.sqrt(np.nanmean(squares, axis=0)) / spread
     worst = int(np.argmax(errors))
-    if not errors[worst] > LEAVING_ERROR:
+    # A constant has an error of one, and a motion out of step one of 1.4.
+    if not errors[worst] > 2:
         return ""
     runs = ", ".join(map(attrgetter("name"), data.trajectories[:3]))
     advice = "choose other starting values for the parameters"

@@ -28,10 +28,6 @@ from phsi_opt.transcription.grid import Grid
 
 # Share of a direction's largest member from which a parameter belongs to it.
 MEMBER_SHARE = 0.1
-# Standard deviation of a common factor from which it is called open.
-OPEN_FACTOR = 2
-# Share of what one parameter alone changes in the predictions, below which nothing is.
-NO_CHANGE = 1e-3
 
 # A function of parameters (n_theta,): what they predict, one number per value.
 Predictions = Callable[[np.ndarray], np.ndarray]
@@ -259,13 +255,16 @@ def _members(direction: np.ndarray, spread: np.ndarray, size: np.ndarray) -> np.
 
 
 def _is_scaling(spread: np.ndarray, size: np.ndarray) -> bool:
-    """Whether a direction multiplies several parameters alone by an open factor."""
+    """Whether a direction multiplies several parameters alone by an open factor.
+
+    That is a factor whose standard deviation is more than two.
+    """
     is_member = spread > MEMBER_SHARE * np.max(spread)
-    is_member |= spread > OPEN_FACTOR * size
+    is_member |= spread > 2 * size
     member_size = size[is_member]
     relative = spread[is_member] / np.where(member_size > 0, member_size, np.nan)
     has_several = is_member.sum() > 1
-    is_open = np.min(relative) > OPEN_FACTOR
+    is_open = np.min(relative) > 2
     is_one_factor = np.ptp(relative) < 0.005 * np.max(relative)
     return bool(has_several and is_open and is_one_factor)
 
@@ -310,8 +309,9 @@ def _is_sum(
     alone = second.copy()
     alone[first] += step[first]
     before = predicted(second)
-    along, of_first = predicted(second + step) - before, predicted(alone) - before
-    is_silent = np.linalg.norm(along) < NO_CHANGE * np.linalg.norm(of_first)
+    along = predicted(second + step) - before
+    of_first = predicted(alone) - before
+    is_silent = np.linalg.norm(along) < 1e-3 * np.linalg.norm(of_first)
     return bool(is_silent)
 
 

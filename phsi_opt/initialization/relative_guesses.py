@@ -32,7 +32,6 @@ from phsi_opt.transcription.grid import Grid
 UNMEASURED = (1.0, 1e-3)
 # The same for parameters that are to be found: their start, and beside it.
 MOVED = ((1.0, 0.0), (1.1, 0.1))  # factor, and what is added
-STILL = 4.0  # widths of dry friction's corner within which a speed counts as rest
 
 
 def corner_widths(model: Model) -> dict[str, Share]:
@@ -135,21 +134,22 @@ def intervals_at_rest(
     """Whether a body stays at rest along each interval, (n_intervals,) of bool.
 
     Its speed ``of``, a formula such as ``dH_dp`` of the states x (n_nodes, n_states),
-    is within some widths of zero, of dry friction's corner. A body that only turns
+    is within four widths of zero, of dry friction's corner. A body that only turns
     round is as slow, but passes through in a time that its usual acceleration tells; a
     rest lasts five times as long.
     """
     speed = values_at(model, grid, x, of)
     at_begin = np.abs(speed[grid.begin])
     at_end = np.abs(speed[grid.begin + 1])
-    is_slow = np.maximum(at_begin, at_end) < STILL * width
+    still = 4 * width
+    is_slow = np.maximum(at_begin, at_end) < still
     acceleration = np.sqrt(np.nanmean(grid.rates(speed[:, None]) ** 2))
     trajectory = grid.runs
     is_changed = is_slow[1:] != is_slow[:-1]
     is_next_trajectory = trajectory[1:] != trajectory[:-1]
     stretch = np.cumsum(np.r_[True, is_changed | is_next_trajectory]) - 1
     duration = np.bincount(stretch, grid.h)[stretch]
-    return is_slow & (duration * acceleration > 5 * 2 * STILL * width)
+    return is_slow & (duration * acceleration > 5 * 2 * still)
 
 
 def values_at(
@@ -243,7 +243,8 @@ def fast_motion(model: Model, grid: Grid, units: Mapping[str, str]) -> str:
         rates = np.linalg.eigvals(finite[:, is_motion][:, :, is_motion]).imag
         return float(np.median(np.abs(rates).max(axis=1))) / (2 * np.pi)
 
-    found, limit = frequency(resolved.theta), 0.5 / float(np.median(grid.h))
+    found = frequency(resolved.theta)
+    limit = 0.5 / float(np.median(grid.h))
     starts = []
     for place, name in enumerate(model.free if found > limit else ()):
         moved = resolved.theta.copy()

@@ -24,14 +24,10 @@ from phsi_opt.transcription.integrators import STARTING_SCHEME
 from phsi_opt.transcription.parameter_vector import Point, Theta
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
-N_SLOPES = 25  # nodes at which slopes of the model and the sensors are averaged
 # By how much the size of a parameter may differ from its own value. Far from its start,
 # in units of its effect, it would meet the solver as a huge number; a frequency inside
 # a term whose wave starts with no amplitude shows no effect, and would go anywhere.
 MOST_RATIO = 1e3
-# Share of the largest curvature of the rates' squares below which they leave a
-# direction of the states open.
-LEAST_CURVATURE = 1e-6
 
 
 def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Point:
@@ -202,8 +198,8 @@ def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
 
 
 def some_nodes(grid: Grid, x: np.ndarray) -> tuple[Grid, np.ndarray]:
-    """`N_SLOPES` nodes of a grid, evenly spread, and the states there."""
-    nodes = np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int)
+    """Evenly spread nodes of a grid, enough for a mean slope, and the states there."""
+    nodes = np.linspace(0, grid.n_nodes - 1, 25).astype(int)
     return grid.intervals(nodes[:0]).at_nodes(nodes), x[nodes]
 
 
@@ -280,11 +276,14 @@ def _least_squares_steps(slopes: np.ndarray, missing: np.ndarray) -> np.ndarray 
     mean = np.mean(gram, axis=0)
     if not np.all(np.isfinite(mean)):
         return None
+    # Share of the largest curvature of the rates' squares below which they leave a
+    # direction of the states open.
+    least = 1e-6
     size = np.sqrt(np.maximum(np.diag(mean), TINY))
     curvatures = np.linalg.eigvalsh(mean / np.outer(size, size))
-    if np.diag(mean).min() <= TINY or curvatures[0] < LEAST_CURVATURE:
+    if np.diag(mean).min() <= TINY or curvatures[0] < least:
         return None
-    ridge = LEAST_CURVATURE * np.diag(size**2)
+    ridge = least * np.diag(size**2)
     right = np.einsum("aki,ak->ai", slopes, missing)
     step = np.linalg.solve(gram + ridge, right[:, :, None])[:, :, 0]
     return step if np.all(np.isfinite(step)) else None

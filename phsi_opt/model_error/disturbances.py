@@ -24,10 +24,6 @@ LENGTH = 1.0
 # record; a share is kept for what is straight here and not elsewhere. It is a trade
 # between narrow and reliable intervals, measured in results/coverage.md (0.25 to 99).
 LINEAR_SHARE = 0.25
-# Logarithm of the factor on a size down to which a search goes: what is smaller than a
-# millionth of where it began is not there.
-SMALLEST_LOG = -14.0
-LARGEST_LOG = 7.0  # and up to which it goes
 # Sizes of noises and processes that are estimated one by one, at most: beyond, those of
 # one kind keep their ratios.
 MOST_SIZES = 27
@@ -236,6 +232,10 @@ class Coordinates:
     longest: float = np.inf  # at most
     largest_functions: tuple[float, ...] = ()  # sizes of the functions, at most
     fixed_times: bool = False  # whether times stay as they are
+    # Logarithms of the factor on a size between which a search stays: what is smaller
+    # than a millionth of where it began is not there.
+    smallest: float = -14.0
+    largest: float = 7.0
 
     @property
     def is_tied(self) -> bool:
@@ -253,11 +253,11 @@ class Coordinates:
         members = []
         for group in self._groups(0, n_channels):
             highest = max(lowest[place] for place in group)
-            members.append((group, min(highest, 0.0), LARGEST_LOG))
+            members.append((group, min(highest, 0.0), self.largest))
         first = n_channels
         for processes in (origin.forces, origin.sensors):
             for group in self._groups(first, len(processes)):
-                members.append((group, SMALLEST_LOG, LARGEST_LOG))
+                members.append((group, self.smallest, self.largest))
             lasting = []
             for place, process in enumerate(processes, start=first + n_processes):
                 if process.time > self.shortest and not self.fixed_times:
@@ -271,7 +271,7 @@ class Coordinates:
         pairs = zip(origin.functions, self.largest_functions, strict=True)
         for place, (function, largest) in enumerate(pairs, start=first):
             upper = max(float(np.log(largest / function.size)), 0.0)
-            members.append(([place], SMALLEST_LOG, upper))
+            members.append(([place], self.smallest, upper))
         return members
 
     def _groups(self, first: int, n: int) -> list[list[int]]:
@@ -290,7 +290,7 @@ class Coordinates:
         remaining = least**2 - sum(size**2 for size in lasting)
         white = float(np.sqrt(max(remaining, (0.1 * least) ** 2)))
         noise = float(np.mean(self.origin.sigma[:, channel]))
-        return max(float(np.log(max(white / noise, TINY))), SMALLEST_LOG)
+        return max(float(np.log(max(white / noise, TINY))), self.smallest)
 
     @property
     def bounds(self) -> np.ndarray:

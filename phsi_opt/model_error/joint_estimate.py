@@ -40,28 +40,8 @@ from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValu
 
 # Steps of a problem that others follow, with other noise or another size of the force.
 STEPS_OF_A_PROBLEM = 30
-# Share of the parameters' information that is added to it where no part of a step leads
-# down (Levenberg 1944, Marquardt 1963).
-LEAST_STEP_DAMPING = 1e-2
-# Step, in standard deviations of a parameter or its own scale, that tells a slope.
-SMALL_STEP = 1e-3
-# Move of a parameter by its tilt, in standard errors, that makes no difference.
-UNMOVED = 0.05
 # Share of a step's length that the next one has, from which curvature takes part.
 SLOW = 0.3
-# Length of a step that does not shrink, in standard deviations, up to which a delay
-# stays: held inputs make kinks in its likelihood, over which steps go to and fro.
-BESIDE_KINK = 0.5
-# Parts of a step that are tried, each half of the one before; fewer of one with
-# curvature, which may lead uphill.
-MOST_HALVINGS = 8
-MOST_HALVINGS_CURVED = 3
-# Share of a violation that a step lessens, or that the objective falls by (Fletcher and
-# Leyffer).
-LEAST_FALL = 1e-5
-# What the data tell of a direction is clear of what a step leaves out if it is so many
-# times as much.
-CLEAR = 10
 SETTLED_VIOLATION = 1e-7  # of the scaled dynamics, at which steps end
 # Violation up to which a search that did not settle is of use: beside a kink of the
 # model, or for a start.
@@ -233,7 +213,8 @@ class JointProblem:
         -1/2 log|det K|, which depends on the parameters. Without it these are pulled to
         where forces can do the most: the most likely forces together with parameters
         are not those of the most likely parameters (Neyman and Scott, Econometrica 16,
-        1948). A tilt that was there and moves its parameter too little stays.
+        1948). A tilt that was there and moves its parameter by less than a twentieth of
+        a standard error stays.
 
         Raises:
             SolveError: the states do not follow from the data.
@@ -246,9 +227,10 @@ class JointProblem:
         tilt = self.slope.copy()
         moves = np.abs(tilt[self.moving]) * np.sqrt(np.diag(system.covariance))
         for place, information, move in zip(self.moving, known, moves, strict=False):
-            if self.tilt is not None and move < UNMOVED:
+            if self.tilt is not None and move < 0.05:
                 continue
-            step = SMALL_STEP / np.sqrt(information + 1)
+            # In standard deviations of the parameter, or its own scale.
+            step = 1e-3 / np.sqrt(information + 1)
             if z[place] + step > self.values.upper[place]:
                 step = -step
             moved = z.copy()
@@ -308,6 +290,9 @@ class JointProblem:
         moving = self.moving
         passed: list[tuple[float, float]] = []
         has_converged = is_curved = False
+        # Share of the parameters' information that is added to it where no part of a
+        # step leads down (Levenberg 1944, Marquardt 1963).
+        least_damping = 1e-2
         damping = 0.0
         length = np.inf
         objectives: list[float] = []
@@ -317,7 +302,8 @@ class JointProblem:
             there = None
             if is_curved:
                 aim = place.curved().aim(0.0)
-                there = self._lower(place, aim, passed, MOST_HALVINGS_CURVED)
+                # Which may lead uphill.
+                there = self._lower(place, aim, passed, 3)
             is_whole = there is not None or damping == 0
             if there is None:
                 aim = place.aim(damping)
@@ -329,13 +315,13 @@ class JointProblem:
             if self._may_curve and is_slow:
                 is_curved = True
             if there is None:
-                damping = max(10 * damping, LEAST_STEP_DAMPING)
+                damping = max(10 * damping, least_damping)
                 if damping > 1e6 or not len(self.moving):
                     break
                 place = replace(place, multipliers=aim.multipliers)
                 contraction = 1.0
                 continue
-            damping = damping / 10 if damping > LEAST_STEP_DAMPING else 0.0
+            damping = damping / 10 if damping > least_damping else 0.0
             objectives.append(there.objective)
             fall = target.fall * objectives[-1]
             is_short = is_whole and length * contraction < target.length
@@ -347,7 +333,9 @@ class JointProblem:
             if is_level(2 * np.array(objectives)) and there.violation < NEARLY_HELD:
                 has_converged = True
             place = there
-            if is_slow and length < BESIDE_KINK and len(self._but_delays) < len(moving):
+            # Held inputs make kinks in the likelihood of a delay, over which steps go
+            # to and fro: it stays once they are half a standard deviation long.
+            if is_slow and length < 0.5 and len(self._but_delays) < len(moving):
                 moving = self._but_delays
                 likelihood = place.likelihood.with_moving(moving)
                 own = replace(self, moving=moving)
@@ -359,9 +347,12 @@ class JointProblem:
         place: "_Place",
         aim: "_Aim",
         passed: Sequence[tuple[float, float]],
-        most_tried: int = MOST_HALVINGS,
+        most_tried: int = 8,
     ) -> "_Place | None":
-        """The first lower place on the way to the aim, which is halved; or None."""
+        """The first lower place on the way to the aim, or None.
+
+        The way is tried in parts, each half of the one before.
+        """
         for n_halvings in range(most_tried):
             share = 0.5**n_halvings
             there = self._moved(place, place.point.towards(aim.point, share))
@@ -504,9 +495,12 @@ class _Place:
         return float(np.sum(np.abs(self._excess[self._holds])))
 
     def is_below(self, passed: Sequence[tuple[float, float]]) -> bool:
-        """Whether objective or violations are clearly lower than at places before."""
+        """Whether objective or violations are clearly lower than at places before.
+
+        By the share of a violation that Fletcher and Leyffer ask for.
+        """
         for objective, missed in passed:
-            fall = LEAST_FALL * missed
+            fall = 1e-5 * missed
             if self.objective >= objective - fall and self.missed >= missed - fall:
                 return False
         return True
@@ -570,18 +564,20 @@ class _Place:
     def _within_bounds(self, system: OptimalitySystem, damping: float) -> Smoothed:
         """The optimum within the bounds; states at one that lead out of it are held."""
         # Steps leave out the curvature of the dynamics, multipliers times violations at
-        # most. What the data tell of a direction has to be clear of it.
+        # most. What the data tell of a direction has to be ten times as much.
         problem = self.problem
         values = problem.values
         left_out = 0.0
         if problem.softness is None:
             left_out = float(np.abs(system.multipliers) @ np.abs(self._excess))
-        z, x = self.point.z, values.point.of_x
+        z = self.point.z
+        x = values.point.of_x
         room = problem.room(z)
-        is_low, is_high = z[x] <= values.lower[x], z[x] >= values.upper[x]
+        is_low = z[x] <= values.lower[x]
+        is_high = z[x] >= values.upper[x]
         is_held = np.zeros(len(is_low), dtype=bool)
         while True:
-            found = system.smoothed(damping, room, CLEAR * left_out)
+            found = system.smoothed(damping, room, 10 * left_out)
             step = found.x.ravel()
             leads_out = (is_low & (step < 0)) | (is_high & (step > 0))
             if not np.any(leads_out & ~is_held):

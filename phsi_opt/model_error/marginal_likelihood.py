@@ -42,8 +42,6 @@ LOST_TO_ROUNDING = (
     "the information about the parameters is lost in rounding errors: noise and "
     "model error differ too much in size."
 )
-# Numbers that are held at once while the linearised problem is solved: 240 MB.
-MOST_SOLVED = 3e7
 
 
 @dataclass(frozen=True, eq=False)
@@ -761,6 +759,7 @@ class ForcePosterior:
 
     likelihood: MarginalLikelihood  # of the linearised record; no parameter moves in it
     disturbances: Disturbances  # with their sizes, forces among them
+    most_solved: float = 3e7  # numbers that are held at once: 240 MB
 
     @cached_property
     def _system(self) -> OptimalitySystem:
@@ -790,7 +789,7 @@ class ForcePosterior:
         It changes slowly, is solved for at 16 to 400 intervals, as many as fit in
         memory, and interpolated between.
         """
-        most = int(np.clip(MOST_SOLVED / len(self._system.right), 16, 400))
+        most = int(np.clip(self.most_solved / len(self._system.right), 16, 400))
         n_intervals = self.likelihood.problem.grid.n_intervals
         evenly = np.linspace(0, n_intervals - 1, min(most, n_intervals))
         chosen = np.unique(evenly.astype(int))
@@ -827,7 +826,7 @@ class ForcePosterior:
         """
         force, places, whitener = self._forces[number]
         n_forces = forces.shape[1]
-        n_parts = 1 + int(len(self._system.right) * n_forces / MOST_SOLVED)
+        n_parts = 1 + int(len(self._system.right) * n_forces / self.most_solved)
         shown = np.empty_like(forces)
         for part in np.array_split(np.arange(n_forces), n_parts):
             right = self._zeros(len(part))

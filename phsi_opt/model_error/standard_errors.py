@@ -25,11 +25,6 @@ from phsi_opt.optimization.bounded_step import REGULAR, RIDGE
 from phsi_opt.statistics import TINY, autocorrelation_time, chi_square_tail
 
 LOG_STEP = 0.1  # of logarithms of sizes and times, for slopes
-FEWEST = 3.0  # degrees of freedom; with fewer a variance means nothing
-MOST = 1e9  # degrees of freedom of a variance that is as good as known
-# Trajectories of equal weight from which their scatter gives the standard errors: with
-# ten a standard error is itself known to a quarter.
-FEWEST_TRAJECTORIES = 10.0
 
 
 class Source(StrEnum):
@@ -139,10 +134,13 @@ class Clusters:
 
     @property
     def is_enough(self) -> bool:
-        """Whether their scatter shows how uncertain the parameters are."""
-        if len(self.scores) < FEWEST_TRAJECTORIES or not self.n_theta:
+        """Whether their scatter shows how uncertain the parameters are.
+
+        With ten of equal weight a standard error is itself known to a quarter.
+        """
+        if len(self.scores) < 10 or not self.n_theta:
             return False
-        return bool(self.effective_numbers().min() >= FEWEST_TRAJECTORIES)
+        return bool(self.effective_numbers().min() >= 10)
 
     def spread(self, moving: np.ndarray, n_theta: int) -> Spread:
         """Covariance and degrees of freedom among all parameters.
@@ -332,6 +330,8 @@ def degrees_of_freedom(
     information: np.ndarray,
     log_variances: Callable[[np.ndarray], np.ndarray],
     is_free: np.ndarray,
+    fewest: float = 3.0,
+    most: float = 1e9,
 ) -> np.ndarray:
     """Degrees of freedom of variances that follow from estimated sizes and times.
 
@@ -348,13 +348,15 @@ def degrees_of_freedom(
             that is zero at the estimate.
         is_free: (n_coordinates,) whether a coordinate was estimated, and is not given
             by a bound.
+        fewest: degrees of freedom; with fewer a variance means nothing.
+        most: those of a variance that is as good as known.
 
     Returns:
-        (n,), from `FEWEST` to `MOST`.
+        (n,).
     """
     if not is_free.any():
         at_zero = log_variances(np.zeros(len(is_free)))
-        return np.full(len(at_zero), MOST)
+        return np.full(len(at_zero), most)
     units = LOG_STEP * np.eye(len(is_free))[is_free]
     values, vectors = np.linalg.eigh(information[np.ix_(is_free, is_free)])
     # A size with less information is known to a factor of four.
@@ -363,4 +365,4 @@ def degrees_of_freedom(
     changes = [log_variances(unit) - log_variances(-unit) for unit in units]
     slopes = np.array(changes) / (2 * LOG_STEP)
     variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
-    return np.maximum(2 / np.maximum(variance, 2 / MOST), FEWEST)
+    return np.maximum(2 / np.maximum(variance, 2 / most), fewest)

@@ -28,13 +28,8 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from phsi_opt.errors import SolveError
 
-# Right-hand sides from which LAPACK solves with the transposed factors in less time: a
-# quarter to a third less for eight and more. Of a symmetric matrix both are the same.
-TRANSPOSED_FROM = 3
 # From this number of states on `Chained` gains: below, the band is as fast.
 FEWEST_STATES = 14
-NEGLIGIBLE = 1e-18  # share of the largest slope that is only rounding
-PANEL = 8  # columns that are solved for together
 
 
 class BandLayout:
@@ -105,7 +100,9 @@ class Banded:
         layout = self.layout
         columns = np.take(right.reshape(self.n, -1).T, layout.order, axis=1)
         if layout.is_symmetric:
-            is_transposed = len(columns) >= TRANSPOSED_FROM
+            # Both are the same, and from three columns on LAPACK solves with the
+            # transposed factors in less time: a quarter to a third less for eight.
+            is_transposed = len(columns) >= 3
         solution, _ = dgbtrs(
             self._factors,
             layout.kl,
@@ -228,20 +225,21 @@ class Passage:
         """What intervals inside add to whole gaps, but for rounding."""
         # ``blocks`` (n_inside, n_columns) has one block of columns per gap, that of the
         # number ``place`` (n_gaps,). Gaps do not touch: one solution serves a column of
-        # every block.
+        # every block, eight columns at a time. Smaller shares of the largest slope than
+        # 1e-18 are rounding.
         n = self._n
         entries = blocks.tocoo()
-        largest = NEGLIGIBLE * np.max(np.abs(entries.data), initial=0.0)
+        negligible = 1e-18 * np.max(np.abs(entries.data), initial=0.0)
         column = entries.col % n
         parts = []
-        for states in np.array_split(np.arange(n), -(-n // PANEL)):
+        for states in np.array_split(np.arange(n), -(-n // 8)):
             own = (column >= states[0]) & (column <= states[-1])
             right = coo_matrix(
                 (entries.data[own], (entries.row[own], column[own] - states[0])),
                 shape=(blocks.shape[0], len(states)),
             ).toarray(order="F")
             effect = -(self.onward @ self.followed(right))
-            row, number = np.nonzero(np.abs(effect) > largest)
+            row, number = np.nonzero(np.abs(effect) > negligible)
             into = place[row // n] * n + states[number]
             parts.append((effect[row, number], row, into))
         value, row, into = map(np.concatenate, zip(*parts, strict=True))

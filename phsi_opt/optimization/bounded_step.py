@@ -16,14 +16,9 @@ from phsi_opt.errors import SolveError
 # Share of the largest curvature of (scaled) parameters below which a direction is as
 # good as rounding: it is the difference of numbers as large as the largest.
 SILENT = 1e-12
-LOUD = 1e-3  # share above which no direction is silent
 # Information, per scaled parameter, that makes the matrix regular where the data say
 # nothing.
 RIDGE = 1e-10
-# The same as a share of the largest information: beside less the others drown in its
-# inverse's rounding.
-ROUNDED_RIDGE = 1e-15
-HELD = 1e12  # information, per scaled parameter, by which a parameter does not move
 REGULAR = 1e-13  # share of the largest curvature that is added where a state has none
 
 
@@ -65,7 +60,8 @@ def bounded_step(
         curvature: C, (n, n), none negative but by rounding.
         pull: p, (n,).
         room: for d.
-        silent: curvature up to which a direction is silent, beside that of rounding.
+        silent: curvature up to which a direction is silent, beside that of rounding; no
+            more than a thousandth of the largest.
     """
     n = len(pull)
     if not n:
@@ -73,7 +69,7 @@ def bounded_step(
     curvature = (curvature + curvature.T) / 2
     eigen = np.linalg.eigh(curvature)
     largest = eigen.eigenvalues[-1]
-    silent = np.clip(silent, SILENT * largest, LOUD * largest)
+    silent = np.clip(silent, SILENT * largest, 1e-3 * largest)
     whole = _full_step(*eigen, pull, silent)
     if room.holds(whole):
         return whole
@@ -149,9 +145,11 @@ def regularized_inverse(
             "starting values closer to the solution."
         )
     values, vectors = np.linalg.eigh(information)
-    least = max(RIDGE, ROUNDED_RIDGE * float(np.max(values, initial=0.0)))
+    # Beside a smaller share of the largest information the others drown in its
+    # inverse's rounding.
+    least = max(RIDGE, 1e-15 * float(np.max(values, initial=0.0)))
     ridge = np.full(len(information), least)
-    ridge[list(held)] = HELD
+    ridge[list(held)] = 1e12  # by which a parameter does not move
     regular = (vectors * np.maximum(values, 0.0)) @ vectors.T + np.diag(ridge)
     try:
         return np.linalg.inv(regular)

@@ -177,7 +177,6 @@ SETTLED_AT_KINK = (
     "the iterates converged to a point where the model is not "
     "differentiable and the gradient is not zero"
 )
-AT_BOUND = 1e-6  # scaled distance up to which a parameter is at its bound
 
 
 @dataclass(frozen=True)
@@ -382,8 +381,8 @@ def names_at_bounds(
 ) -> tuple[str, ...]:
     """The names (n_names,) of the first scaled variables z (n,) that are at a bound.
 
-    ``bounds`` are lower and upper ones, (n,) each.
+    Or nearer than 1e-6; ``bounds`` are lower and upper ones, (n,) each.
     """
     lower, upper = bounds
     distance = np.minimum(z - lower, upper - z)[: len(names)]
-    return tuple(names[i] for i in np.flatnonzero(distance < AT_BOUND).tolist())
+    return tuple(names[i] for i in np.flatnonzero(distance < 1e-6).tolist())

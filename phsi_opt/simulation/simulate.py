@@ -3,8 +3,8 @@
 `simulate` uses no program and no SRK4, so it can check both. It is not made for
 thousands of runs: `free_run` is. There every interval between two samples is a step of
 the classical Runge-Kutta scheme. Two half steps tell its error, and remove most of it.
-Steps whose error is larger than `STEP_TOLERANCE` (at a kink, say) are cut in parts and
-the run repeated. What would need too many of them (a very stiff run, or one that breaks
+Steps whose error is larger than a tolerance (at a kink, say) are cut in parts and the
+run repeated. What would need too many of them (a very stiff run, or one that breaks
 off) is left to SciPy.
 """
 
@@ -370,17 +370,9 @@ def checked_arguments(
 
 # ---- the fast free run
 
-# Error of a step, at most, in standard deviations of each state along the run. The run
-# itself is some hundred times as accurate as the sum of these.
-STEP_TOLERANCE = 1e-9
-MOST_STEPS_PER_GAP = 150  # per interval on average, beyond which SciPy is faster
-LARGEST_FACTOR = 8  # parts of a step in one round
 # Steps per call of the compiled loop: large against the cost of a call, small against
 # that of building it.
 CHUNK = 500
-# Least spread of a state that errors are compared with, as a share of its own size, and
-# squared of the largest state's: rounding is not an error.
-AT_REST = 1e-6
 
 
 def free_run(
@@ -439,21 +431,29 @@ class Runs:
 
     Args:
         rhs: CasADi function (x, u, t) -> dx/dt.
+        tolerance: of the error of a step, in standard deviations of each state along
+            the run. The run itself is some hundred times as accurate as the sum of
+            these.
+        most_steps: per interval on average, beyond which SciPy is faster.
     """
 
-    def __init__(self, rhs: ca.Function) -> None:
+    def __init__(
+        self, rhs: ca.Function, tolerance: float = 1e-9, most_steps: int = 150
+    ) -> None:
         self.loop = BufferedFunction(_step(rhs).mapaccum(CHUNK))
+        self.tolerance = tolerance
+        self.most_steps = most_steps
 
     def run(self, inputs: SampledInputs, x0: np.ndarray) -> np.ndarray | None:
         """The states (n_samples, n_states); None where explicit steps do not serve."""
         begins = inputs.t[:-1]
         gaps = np.diff(inputs.t)
         samples = np.rint(gaps / np.median(gaps))  # that a gap would have held
-        parts = samples.clip(1, MOST_STEPS_PER_GAP).astype(int)
-        while parts.sum() <= MOST_STEPS_PER_GAP * len(gaps):
+        parts = samples.clip(1, self.most_steps).astype(int)
+        while parts.sum() <= self.most_steps * len(gaps):
             begins = _cut(begins, inputs.t[-1], parts)
             x, errors = self._along(inputs, x0, begins)
-            parts = _parts(x, errors)
+            parts = _parts(x, errors, self.tolerance)
             if np.all(parts == 1):
                 return x[inputs.samples]
         return None
@@ -499,15 +499,19 @@ def _cut(begins: np.ndarray, end: float, parts: np.ndarray) -> np.ndarray:
     return np.repeat(begins, parts) + (np.arange(len(h)) - first) * h
 
 
-def _parts(x: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def _parts(
+    x: np.ndarray, errors: np.ndarray, tolerance: float, most: int = 8
+) -> np.ndarray:
     """Parts to cut each step into, (n_steps,), so that its error is small enough.
 
-    Errors are compared with the spread of the states along the run, (n, n_states).
+    Errors are compared with the spread of the states along the run, (n, n_states): at
+    least a millionth of their size, as rounding is not an error.
     """
     size = np.max(np.abs(x), axis=0)
     if not np.all(size < LARGEST_VALUE):  # the run left the range of numbers
-        return np.full(len(errors), LARGEST_FACTOR // 2)
-    least = max(AT_REST**2 * np.max(size), TINY)
-    spread = np.maximum(np.std(x, axis=0), np.maximum(AT_REST * size, least))
-    share = np.max(errors / spread, axis=1) / STEP_TOLERANCE
-    return np.ceil(np.clip(share**0.2, 1, LARGEST_FACTOR)).astype(int)
+        return np.full(len(errors), most // 2)
+    rounding = 1e-6
+    least = max(rounding**2 * np.max(size), TINY)
+    spread = np.maximum(np.std(x, axis=0), np.maximum(rounding * size, least))
+    share = np.max(errors / spread, axis=1) / tolerance
+    return np.ceil(np.clip(share**0.2, 1, most)).astype(int)

@@ -21,8 +21,6 @@ from phsi_opt.transcription.defects import (
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import UNBOUNDED
 
-MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
-
 
 def with_memory(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
@@ -115,11 +113,11 @@ class MemoryIntegration:
         return states, means
 
 
-def _memory_over_interval(model: Model, n_old: int) -> ca.Function:
+def _memory_over_interval(model: Model, n_old: int, n_steps: int = 4) -> ca.Function:
     """CasADi function (z, x0, x1, t0, h, u0, u1, theta) -> (z at the end, mean of z).
 
-    `MEMORY_STEPS` steps of the trapezoidal rule, linearised at their beginning: with r
-    the rate of z and J its slope in z there, each step dt adds::
+    By steps of the trapezoidal rule, linearised at their beginning: with r the rate of
+    z and J its slope in z there, each step dt adds::
 
         dt/2 (I - dt/2 J)^-1 (r(z, begin) + r(z, end))
 
@@ -138,17 +136,17 @@ def _memory_over_interval(model: Model, n_old: int) -> ca.Function:
         x = ca.vertcat(x0 + at * (x1 - x0), value)
         return rates_within(rhs, interval, x, at)[n_old:]
 
-    dt = interval[1] / MEMORY_STEPS
-    both_rates = rate(z, share) + rate(z, share + 1 / MEMORY_STEPS)
+    dt = interval[1] / n_steps
+    both_rates = rate(z, share) + rate(z, share + 1 / n_steps)
     slope = ca.jacobian(rate(z, share), z)
     implicit = ca.SX.eye(n_memory) - dt / 2 * slope
     end = z + dt / 2 * ca.solve(implicit, both_rates)
     step = ca.Function("part", [z, share, *given], [end])
     before = z
     mean: Any = ca.SX.zeros(n_memory)
-    for k in range(MEMORY_STEPS):
-        after = step(before, k / MEMORY_STEPS, *given)
-        mean = mean + (before + after) / (2 * MEMORY_STEPS)
+    for k in range(n_steps):
+        after = step(before, k / n_steps, *given)
+        mean = mean + (before + after) / (2 * n_steps)
         before = after
     return ca.Function("step", [z, *given], [before, mean])
 

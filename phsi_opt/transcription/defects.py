@@ -21,9 +21,6 @@ from phsi_opt.optimization.column_function import in_columns, in_numbers
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import integrator
 
-FINE_STEPS = 8  # of RK4 along the interval by which one step of a scheme is checked
-
-
 # ---- functions of one interval, or node, for all of them
 
 
@@ -308,7 +305,7 @@ def local_errors(
     """Error of one step of the scheme: exact end minus state at the end.
 
     For states x (n_nodes, n_states) that obey the scheme. The exact end of an interval
-    is found by `FINE_STEPS` steps of RK4 from its beginning; (n_intervals, n_states),
+    is found by eight steps of RK4 from its beginning; (n_intervals, n_states),
     NaN where it leaves the range of numbers.
     """
     return _ends(model, grid, x, theta) - x[grid.begin + 1]
@@ -360,22 +357,22 @@ def _ends(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndar
     return ends.T
 
 
-def _fine_integration(model: Model) -> ca.Function:
+def _fine_integration(model: Model, n_steps: int = 8) -> ca.Function:
     """CasADi function of an interval -> x at its end; arguments as of `defect`."""
     rhs = model.rhs()
     psi = integrator("rk4").psi
     x0 = ca.SX.sym("x0", model.n_states)
     n_done = ca.SX.sym("n_done")
     interval = interval_symbols(model)
-    h_fine = interval[1] / FINE_STEPS
+    h_fine = interval[1] / n_steps
 
     def g(at: Any, c: float) -> Any:
-        return rates_within(rhs, interval, at, (n_done + c) / FINE_STEPS)
+        return rates_within(rhs, interval, at, (n_done + c) / n_steps)
 
     after = x0 + h_fine * psi(g, x0, x0, h_fine)
     step = ca.Function("step", [x0, n_done, *interval], [after])
     x = x0
-    for k in range(FINE_STEPS):
+    for k in range(n_steps):
         x = step(x, k, *interval)
     x1 = ca.SX.sym("x1", model.n_states)  # which does not count
     return ca.Function("exact", [x0, x1, *interval], [x])

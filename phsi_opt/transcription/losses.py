@@ -37,7 +37,6 @@ from phsi_opt.transcription.parameter_vector import Point, Theta
 # change, as a share, up to which these stay.
 MOST_PROGRAMS = 6
 SAME_DELAY = 1e-4
-MOST_COUNTED = 1000  # steps between samples, or starts; a program grows with the first
 
 
 @typed
@@ -130,11 +129,12 @@ class MaximumLikelihood:
             )
         if huber is not None:
             require_positive("MaximumLikelihood: huber", huber)
-        expected = f"a whole number from 1 to {MOST_COUNTED}"
+        most = 1000  # a program grows with the steps
+        expected = f"a whole number from 1 to {most}"
         for name in ("steps", "starts"):
             n = getattr(self, name)
             may_lack = name == "steps" and n is None
-            fine = may_lack or (is_count(n) and n <= MOST_COUNTED)
+            fine = may_lack or (is_count(n) and n <= most)
             require(fine, f"MaximumLikelihood: {name}", n, expected)
         for name, size in (self.noise or {}).items():
             require_positive(f"MaximumLikelihood: noise[{name!r}]", size)
