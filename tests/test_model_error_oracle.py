@@ -172,14 +172,14 @@ class Dense:
         """Covariance of what is shown under disturbances, (n_values, n_values)."""
         problem = self.problem
         grid = problem.grid
-        run = grid.trajectory[problem.node]
-        covariance = np.diag(d.sigma[run, problem.channel] ** 2)
+        run = grid.trajectory[problem.grid.node]
+        covariance = np.diag(d.sigma[run, problem.grid.channel] ** 2)
         if d.forces:
             slopes = np.hstack([self.force_slopes(f.place) for f in d.forces])
             covariance += slopes @ self.force_covariance(d) @ slopes.T
         for sensor in d.sensors:
-            values = np.flatnonzero(problem.channel == sensor.place)
-            t = grid.t[problem.node[values]]
+            values = np.flatnonzero(problem.grid.channel == sensor.place)
+            t = grid.t[problem.grid.node[values]]
             wandering = kernel(sensor, t, run[values])
             covariance[np.ix_(values, values)] += wandering
         for function in d.functions:
@@ -230,12 +230,12 @@ def kernel(process: Process, t: np.ndarray, run: np.ndarray) -> np.ndarray:
 def cases(problem: Linearization) -> dict[str, Disturbances]:
     """Disturbances of every kind, and together."""
     rng = np.random.default_rng(5)
-    sigma = NOISE * rng.uniform(0.7, 1.4, (problem.n_trajectories, 2))
+    sigma = NOISE * rng.uniform(0.7, 1.4, (problem.grid.n_trajectories, 2))
     force = Process(1, 0.4, 0.7)
     other = Process(1, 0.2, 0.0)
     in_q = Process(0, 0.05, 2.0)
     sensors = tuple(
-        Process(k, 0.03, 0.5 + k) for k in np.unique(problem.channel).tolist()
+        Process(k, 0.03, 0.5 + k) for k in np.unique(problem.grid.channel).tolist()
     )
     functions = (StateFunction(1, 0, 0.3), StateFunction(1, 1, 0.1))
     return {
@@ -367,10 +367,10 @@ def test_smoothed_is_the_best_linear_prediction(name: str, kind: str) -> None:
         slopes = np.hstack([dense.force_slopes(f.place) for f in d.forces])
         prior = dense.force_covariance(d)
         expected += np.split(prior @ slopes.T @ pull, len(d.forces))
-    run = problem.grid.trajectory[problem.node]
+    run = problem.grid.trajectory[problem.grid.node]
     for sensor in d.sensors:
-        values = np.flatnonzero(problem.channel == sensor.place)
-        t = problem.grid.t[problem.node[values]]
+        values = np.flatnonzero(problem.grid.channel == sensor.place)
+        t = problem.grid.t[problem.grid.node[values]]
         expected.append(kernel(sensor, t, run[values]) @ pull[values])
     wanted = np.concatenate([np.zeros(0), *expected])
     np.testing.assert_allclose(found.processes, wanted, rtol=1e-6, atol=1e-9)
@@ -488,7 +488,7 @@ def test_slopes_and_average_information_are_those_of_dense_algebra(
     problem = problem_of(name)
     moving = np.arange(3)
     dense = Dense.of(problem, moving)
-    channels = tuple(np.unique(problem.channel).tolist())
+    channels = tuple(np.unique(problem.grid.channel).tolist())
     d = cases(problem)[kind]
     if kind == "two forces":  # a time of its own, however short, has a slope
         d = replace(d, forces=(d.forces[0], replace(d.forces[1], time=0.05)))

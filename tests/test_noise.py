@@ -7,7 +7,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.data.noise import difference_noise, initial_noise, scatter_by_run
-from phsi_opt.estimation.noise_estimation import NoiseIteration
+from phsi_opt.estimation.noise_estimation import NoiseIteration, NoiseLevels
 from phsi_opt.transcription.grid import Grid, grid_of
 
 
@@ -105,7 +105,8 @@ def iteration(
     grid: Grid, *is_estimated: bool, has_l1: bool = False, huber: float | None = None
 ) -> NoiseIteration:
     estimated = np.array(is_estimated or (True, True))
-    return NoiseIteration(grid, estimated, N_THETA, huber, has_l1, np.zeros(2))
+    levels = NoiseLevels(np.ones(2), ~estimated, np.zeros(2))
+    return NoiseIteration(grid, levels, N_THETA, huber, has_l1)
 
 
 def residuals(grid: Grid, *factors: float) -> np.ndarray:

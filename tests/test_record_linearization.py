@@ -122,7 +122,7 @@ def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
     z = point.scaled
     there = likelihood.at(z)
     linear = Linearizer(likelihood).at(z)
-    weights = 1 / sigma[linear.channel]
+    weights = 1 / sigma[linear.grid.channel]
     dense = Dense(likelihood, sigma)
     np.testing.assert_allclose(there.g, dense.defects(z), atol=1e-10)
     np.testing.assert_allclose(weights * there.misfit, dense.residual(z), atol=1e-10)

@@ -23,7 +23,7 @@ from phsi_opt.data.noise import scatter_by_run
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_steps import solution_of_steps
-from phsi_opt.estimation.noise_estimation import LEAST_COUNTED
+from phsi_opt.estimation.noise_estimation import LEAST_COUNTED, NoiseLevels
 from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.ascent import SETTLED_EVIDENCE
@@ -59,7 +59,7 @@ class LikelihoodEstimate(Estimate):
     loss: MaximumLikelihood
     likelihood: LikelihoodValues  # values and slopes of what was solved
     sigma: np.ndarray  # (n_states,) standard deviation of the noise per state
-    is_known: np.ndarray  # (n_states,) whether it was declared
+    levels: NoiseLevels  # what was known of it before
 
     @property
     def states(self) -> tuple[np.ndarray, ...]:
@@ -212,15 +212,14 @@ class LikelihoodEstimate(Estimate):
         Parameters at a bound stay there, and so do as many as the data cannot tell
         from others: a likelihood that is flat along a direction has no finite marginal.
         """
-        shape = (problem.n_trajectories, len(self.sigma))
-        measured = problem.grid.measured_states
+        shape = (problem.grid.n_trajectories, len(self.sigma))
         scatter = scatter_by_run(self.task.data)
         return DisturbanceSearch(
             problem=problem,
             moving=self.moving,
             plain=np.broadcast_to(self.sigma, shape).copy(),
-            scatter=np.where(self.is_known, self.sigma, scatter),
-            channels=tuple(np.flatnonzero(measured & ~self.is_known).tolist()),
+            scatter=np.where(self.levels.is_known, self.sigma, scatter),
+            channels=self.levels.channels(problem.grid),
             is_brief=not self.task.settings.thorough,
         )
 

@@ -178,11 +178,10 @@ class LikelihoodProblem:
         values = self._values(start)
         noise = NoiseIteration(
             grid=values.grid,
-            is_estimated=~self.noise.is_known,
+            levels=self.noise,
             n_theta=len(values.unknown),
             huber=self.loss.huber,
             has_l1=bool(np.any(values.unknown.weights(l1) > 0)),
-            least=self.noise.least,
         )
         settings = self.task.settings
         optimum = None
@@ -220,7 +219,7 @@ class LikelihoodProblem:
             solution=optimum.solution,
             l1=l1,
             sigma=optimum.sigma,
-            is_known=self.noise.is_known,
+            levels=self.noise,
         )
 
     def _values(self, start: StartingPoint) -> LikelihoodValues:

@@ -77,7 +77,7 @@ def by_steps(
     """
     began = time.perf_counter()
     most = min(STEPS_OF_A_PROBLEM, settings.max_iterations)
-    target = FOR_THE_NOISE if noise.is_estimated.any() else EXACTLY
+    target = FOR_THE_NOISE if noise.is_needed else EXACTLY
     linearizer = Linearizer(values)
     z = values.point.scaled
     joint = None
@@ -229,7 +229,7 @@ def _settled(
     """Solved again and again with better noise."""
     for _ in range(6):  # noises, at most
         solution = _noise_free_is_success(solver.solve(z, sigma))
-        if not solution.outcome.success or not noise.is_estimated.any():
+        if not solution.outcome.success or not noise.is_needed:
             break
         updated = noise.updated(sigma, solution.residual)
         has_settled = noise.change(sigma, updated) < noise.tolerance

@@ -76,7 +76,7 @@ def by_likelihood(problem: LikelihoodProblem, start: Fit | None) -> LikelihoodEs
         return problem.solve(there, l1=l1)
 
     estimate = pruned(estimate, resolve)
-    warnings = residual_warnings(estimate, problem.noise)
+    warnings = residual_warnings(estimate)
     if not warnings:
         return estimate  # with all that has been worked out about it
     return replace(estimate, notes=estimate.notes + warnings)

@@ -116,7 +116,7 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
         unknown=unknown,
         grid=grid,
         point=replace(point, theta=theta, theta_scale=np.ones(len(unknown))),
-        channels=tuple(np.flatnonzero(measured & ~is_given).tolist()),
+        channels=noise.channels(grid),
         least_noise=noise.least,
     )
     first = Disturbances(

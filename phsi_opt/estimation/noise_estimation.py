@@ -71,20 +71,28 @@ class NoiseLevels:
         sigma = initial_noise(data, declared)
         return cls(sigma, np.isfinite(declared), quantisation_noise(data))
 
+    def channels(self, grid: Grid) -> tuple[int, ...]:
+        """Numbers of the measured states whose noise is not known."""
+        return tuple(np.flatnonzero(grid.measured_states & ~self.is_known).tolist())
+
 
 @dataclass(frozen=True, eq=False)
 class NoiseIteration:
     """Re-estimates the noise from the residuals of a solve."""
 
     grid: Grid  # of the program
-    is_estimated: np.ndarray  # (n_states,) whether a state's noise is unknown
+    levels: NoiseLevels  # what is known, and the least noise
     n_theta: int  # number of free parameters
     huber: float | None  # limit of the loss, or None
     has_l1: bool  # whether the program has an L1 term
-    least: np.ndarray  # (n_states,) below which none is estimated: that of quantisation
     # Change of the logarithm of the noise at which its estimate stays: a tenth of its
     # standard error with 200 values.
     tolerance: float = 0.005
+
+    @property
+    def is_needed(self) -> bool:
+        """Whether the noise of a state is unknown."""
+        return not self.levels.is_known.all()
 
     def updated(self, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """The noise that ``residual`` shows, which the program has with ``sigma``.
@@ -106,14 +114,15 @@ class NoiseIteration:
             within = (1 - outside) - 2 * huber * density
             freedom *= within + huber**2 * outside
         estimate = sigma * grid.rms_by_channel(standardized) / np.sqrt(freedom)
-        estimate = np.maximum(estimate, np.maximum(self.least, least_noise(grid.y)))
-        return np.where(self.is_estimated & grid.measured_states, estimate, sigma)
+        least = np.maximum(self.levels.least, least_noise(grid.y))
+        is_estimated = ~self.levels.is_known & grid.measured_states
+        return np.where(is_estimated, np.maximum(estimate, least), sigma)
 
     def change(self, sigma: np.ndarray, updated: np.ndarray) -> float:
         """Of the logarithm of the noise, the largest that moves the estimates."""
         change = np.log(updated / sigma)[self.grid.measured_states]
         largest = float(np.max(np.abs(change)))
-        if not self.is_estimated.all() or self.huber is not None or self.has_l1:
+        if self.levels.is_known.any() or self.huber is not None or self.has_l1:
             return largest
         # One factor for all channels leaves the estimates where they are.
         return min(largest, float(np.ptp(change)))

@@ -22,7 +22,6 @@ from phsi_opt.data.noise import (
     unresolved_channels,
 )
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.noise_estimation import NoiseLevels
 from phsi_opt.optimization.bounded_step import REGULAR
 from phsi_opt.presentation.units import scale_of
 from phsi_opt.statistics import TINY
@@ -71,14 +70,13 @@ def is_at_scatter(estimate: LikelihoodEstimate) -> bool:
     return bool(is_small) and _worst_ratio(estimate)[0] < 1.25
 
 
-def residual_warnings(
-    estimate: LikelihoodEstimate, noise: NoiseLevels
-) -> tuple[str, ...]:
+def residual_warnings(estimate: LikelihoodEstimate) -> tuple[str, ...]:
     """Where residuals are far beyond the scatter, or quantisation sets the noise.
 
     Nothing is said of channels whose noise was declared, which judges them already.
     """
     data = estimate.task.data
+    noise = estimate.levels
     warnings = []
     if estimate.is_success and not noise.is_known.any():
         ratio, channel = _worst_ratio(estimate)

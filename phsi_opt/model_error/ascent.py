@@ -195,7 +195,7 @@ def slopes(
     left_of_values = left[: problem.n_values, k : k + n_probes] / root
     by_value = (root[:, 0] * system.residual) ** 2
     by_value -= np.mean(of_values * left_of_values, axis=1)
-    gradient = [by_value[problem.channel == channel].sum() for channel in channels]
+    gradient = [by_value[problem.grid.channel == channel].sum() for channel in channels]
     by_time = []
     for one, signs in zip(components, of_components, strict=True):
         pulled = one.pulled(left[:, k + n_probes :])
@@ -213,7 +213,7 @@ def slopes(
 def _shifts_by_noise(system: OptimalitySystem, channels: Sequence[int]) -> np.ndarray:
     """How the data would move with the log noise of each channel."""
     problem = system.problem
-    is_own = problem.channel[:, None] == np.array(channels, dtype=int)
+    is_own = problem.grid.channel[:, None] == np.array(channels, dtype=int)
     shifts = np.where(is_own, 2 * system.residual[:, None], 0.0)
     return np.pad(shifts, ((0, len(problem.offset)), (0, 0)))
 

@@ -118,7 +118,7 @@ class DisturbanceSearch:
             white = replace(white, functions=self._function_candidates())
         system = self.likelihood(white).at(white)
         n_processes = max(
-            len(self.problem.forced), len(np.unique(self.problem.channel))
+            len(self.problem.forced), len(np.unique(self.problem.grid.channel))
         )
         is_tied = len(self.channels) + n_processes > MOST_SIZES
         alone = system.without_functions()
@@ -149,7 +149,7 @@ class DisturbanceSearch:
         sigma = self._noises()[0]
         in_noise = (self.problem.residual / self.problem.of_values(sigma)) ** 2
         for channel in self.channels:
-            own = self.problem.channel == channel
+            own = self.problem.grid.channel == channel
             sigma[:, channel] *= np.sqrt(np.mean(in_noise[own]))
         by_run = self.evidence(Disturbances(sigma)).log_evidence
         together = self.evidence(Disturbances(self.plain)).log_evidence
@@ -158,7 +158,7 @@ class DisturbanceSearch:
     @property
     def _evidence_of_runs(self) -> float:
         """Gain that is asked for where each trajectory's noise is from the data."""
-        return STRONG_EVIDENCE + self.problem.n_trajectories
+        return STRONG_EVIDENCE + self.problem.grid.n_trajectories
 
     # --- What is found
 
@@ -309,7 +309,7 @@ class DisturbanceSearch:
     ) -> Disturbances:
         """With forces, or sensors: a share of the rates, or of the residuals."""
         sizes = np.mean(self.plain, axis=0)
-        places = np.unique(self.problem.channel).tolist()
+        places = np.unique(self.problem.grid.channel).tolist()
         if kind == "forces":
             sizes = self.rates()
             places = list(self.problem.forced)

@@ -104,20 +104,6 @@ class Linearization:
         return len(self.residual)
 
     @property
-    def n_trajectories(self) -> int:
-        return self.grid.n_trajectories
-
-    @property
-    def node(self) -> np.ndarray:
-        """Node of every measured value, (n_values,)."""
-        return self.grid.node
-
-    @property
-    def channel(self) -> np.ndarray:
-        """Its state, (n_values,)."""
-        return self.grid.channel
-
-    @property
     def middles(self) -> np.ndarray:
         """Times of the middles of the intervals, (n_intervals,)."""
         grid = self.grid
@@ -126,7 +112,7 @@ class Linearization:
 
     def of_values(self, sigma: np.ndarray) -> np.ndarray:
         """Of noise (n_trajectories, n_states) that of every measured value."""
-        return np.asarray(sigma[self.grid.trajectory[self.node], self.channel])
+        return np.asarray(sigma[self.grid.run_of_value, self.grid.channel])
 
     @cached_property
     def log_volume(self) -> float:
@@ -173,8 +159,8 @@ class Linearization:
     def site_of_sensor(self, channel: int) -> Site:
         """Of errors of the sensor of one state: one for each of its values."""
         grid = self.grid
-        values = np.flatnonzero(self.channel == channel)
-        node = self.node[values]
+        values = np.flatnonzero(grid.channel == channel)
+        node = grid.node[values]
         n = len(values)
         effects = self._effects(np.ones(n), values, np.arange(n), n)
         return Site(node.astype(float), grid.t[node], grid.trajectory[node], effects)
@@ -241,7 +227,7 @@ class Linearization:
         intervals = np.flatnonzero(same & (piece[grid.begin] >= 0))
         nodes = np.flatnonzero(piece >= 0)
         number = np.cumsum(piece >= 0) - 1
-        values = np.flatnonzero(piece[self.node] >= 0)
+        values = np.flatnonzero(piece[grid.node] >= 0)
         of_state = np.arange(self.n_states)
         rows = (intervals[:, None] * self.n_states + of_state).ravel()
         columns = (nodes[:, None] * self.n_states + of_state).ravel()

@@ -502,9 +502,9 @@ class OptimalitySystem:
         information about each parameter.
         """
         problem = self.problem
-        run_of_value = problem.grid.trajectory[problem.node]
+        run_of_value = problem.grid.run_of_value
         borders = []
-        for run in range(problem.n_trajectories):
+        for run in range(problem.grid.n_trajectories):
             values = np.flatnonzero(run_of_value == run)
             unknowns = np.flatnonzero(self.likelihood._run_of_unknown == run)
             share = self.border.log_constant * len(values) / problem.n_values
@@ -748,7 +748,7 @@ def white_system(linear: Linearization, sigma: np.ndarray) -> OptimalitySystem:
     Raises:
         SolveError: the states do not follow from the parameters and the data.
     """
-    noise = Disturbances(np.tile(sigma, (linear.n_trajectories, 1)))
+    noise = Disturbances(np.tile(sigma, (linear.grid.n_trajectories, 1)))
     likelihood = MarginalLikelihood(linear, noise, np.arange(linear.n_theta))
     return likelihood.at(noise, REGULAR)
 

@@ -180,8 +180,8 @@ def are_independent(problem: Linearization) -> bool:
     more, and their scatter does not show this error. Residuals that last count as few
     (`autocorrelation_time`).
     """
-    runs = problem.grid.trajectory[problem.node]
-    sizes = problem.grid.rms_by_channel(problem.residual)[problem.channel]
+    runs = problem.grid.run_of_value
+    sizes = problem.grid.rms_by_channel(problem.residual)[problem.grid.channel]
     split = np.split(
         problem.residual / np.maximum(sizes, TINY), np.flatnonzero(np.diff(runs)) + 1
     )

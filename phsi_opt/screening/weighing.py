@@ -367,7 +367,6 @@ class EvidenceRecord:
         sigma = np.tile(white, (data.n_trajectories, 1))
         noise = NoiseLevels.beside_force(data)
         aligned = AlignedData.of(trained.model, data)
-        measured = aligned.grid.measured_states
         # Of the missing force, with the memory of the model.
         runs = []
         for one in records:
@@ -381,7 +380,7 @@ class EvidenceRecord:
             aligned=aligned,
             n_fitted=trained.data.n_trajectories,
             n_states=states.shape[1],
-            channels=tuple(np.flatnonzero(measured & ~noise.is_known).tolist()),
+            channels=noise.channels(aligned.grid),
             least_noise=noise.least,
             longest=max(times, default=np.inf),
             rates=np.sqrt(np.mean(rates**2, axis=0)) + TINY,

@@ -88,6 +88,11 @@ class Grid:
         """Node of every measured value, (n_values,)."""
         return np.nonzero(self.measured)[0]
 
+    @cached_property
+    def run_of_value(self) -> np.ndarray:
+        """Number of the trajectory of every measured value, (n_values,)."""
+        return self.trajectory[self.node]
+
     def rms_by_channel(self, values: np.ndarray) -> np.ndarray:
         """Root mean square per state, (n_states,); zero where nothing is measured.
 
