@@ -22,8 +22,8 @@ from pathlib import Path
 
 import typer
 
-ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / "results"
+from problems.tools.provenance import RESULTS, ROOT, git
+
 PACKAGES = ("phsi_opt", "problems")
 HEAD = re.compile(
     r"<!-- command: (?P<command>.+?); commit: (?P<commit>\w+);"
@@ -56,10 +56,10 @@ class Page:
     @property
     def state(self) -> str:
         """ "current", or why it is not."""
-        if _git("cat-file", "-e", f"{self.commit}^{{commit}}") is None:
+        if git("cat-file", "-e", f"{self.commit}^{{commit}}") is None:
             return f"commit {self.commit} is unknown"
         files = sorted(str(one.relative_to(ROOT)) for one in sources(self.module))
-        changed = _git("diff", "--name-only", self.commit, "--", *files)
+        changed = git("diff", "--name-only", self.commit, "--", *files)
         n_changed = len((changed or "").split())
         return f"{n_changed} files have changed" if n_changed else "current"
 
@@ -116,14 +116,6 @@ def _imported(tree: ast.Module) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             yield node.module
             yield from (f"{node.module}.{one.name}" for one in node.names)
-
-
-def _git(*arguments: str) -> str | None:
-    """What git prints; None if it fails."""
-    done = subprocess.run(
-        ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    return done.stdout if done.returncode == 0 else None
 
 
 def main(run: bool = False, hours: float = 8.0) -> None:

@@ -8,12 +8,6 @@ else. Its loop (`Study.auto`) adds what a verdict names, wholly or partly. All s
 told in short in results/measured_stories.md, some at length on pages of their own.
 """
 
-import os
-
-# Before NumPy is loaded: processor seconds of one thread, not of those that wait.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,10 +18,9 @@ import phsi_opt as ph
 from phsi_opt.diagnosis.candidate import Grade
 from phsi_opt.study.answers import evidence_words, nearest_candidate
 from problems.measured.sets import SETS, Set, with_effects
-from problems.tools import markdown
 from problems.tools.command_line import chosen
 from problems.tools.data_paths import folder, is_present
-from problems.tools.pages import render
+from problems.tools.pages import lines, render
 from problems.tools.pictures import plt, save
 from problems.tools.provenance import write
 
@@ -149,7 +142,7 @@ def errors(story: Story) -> str:
         numbers = [f"{value:.4g}" for value in (*row[2:], *further)]
         rows.append([row[0], row[1], story.how[len(rows)], *numbers])
     header = ["step", "model", "how chosen", "training", "held out", "noise floor"]
-    return markdown.lines([*header, *story.tests], rows)
+    return lines([*header, *story.tests], rows)
 
 
 def page(stories: Mapping[str, Story]) -> str:

@@ -13,24 +13,28 @@ P. Zheng et al. (2019) for SR3, R. Tibshirani (1996) for the LASSO. Rates are
 import time
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import cvxpy as cp
 import numpy as np
 import pysindy as ps
 from sklearn.exceptions import ConvergenceWarning
 
-from phsi_opt.arguments import require_choice, require_positive, require_size
+from phsi_opt.arguments import require_choice, require_size
 from phsi_opt.baselines.descent import Baseline
-from phsi_opt.data.checks import checked_hold
+from phsi_opt.data.checks import checked_hold, hold_of_each
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.trajectory import InputCurve
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.interrupts import interruptible
-from phsi_opt.model.model import FirstOrder
-from problems.peers.regression import Regression, regressions
+from phsi_opt.model.model import FirstOrder, Model
+from phsi_opt.transcription.grid import aligned_once
 
-__all__ = ["Regression", "lasso", "regressions", "sindy"]
 OPTIMIZERS = ("stlsq", "sr3")
+RELAXATION = 1.0  # of SR3
+MOST_ITERATIONS = 10_000  # of SR3
 # Share of the rates (both as root mean squares) below which a term of the LASSO is the
 # solver's rounding.
 LASSO_ROUNDING = 1e-6
@@ -50,9 +54,6 @@ def sindy(
     ridge: float = 0.05,
     *,
     fixed: Mapping[str, float] | None = None,
-    relaxation: float = 1.0,
-    debias: bool = True,
-    max_iterations: int = 10_000,
 ) -> Baseline:
     """Sequentially thresholded regression of each equation, by pysindy.
 
@@ -61,31 +62,24 @@ def sindy(
     require_choice("optimizer", optimizer, OPTIMIZERS)
     require_size("threshold", threshold)
     require_size("ridge", ridge)
-    require_positive("relaxation", relaxation)
 
     def thresholding(n_terms: int) -> Any:
         if optimizer == "stlsq":
             rounds = n_terms + 1  # every round but the last drops a term
-            return ps.STLSQ(
-                threshold=threshold, alpha=ridge, max_iter=rounds, unbias=debias
-            )
+            return ps.STLSQ(threshold=threshold, alpha=ridge, max_iter=rounds)
+        weight = ps.SR3.calculate_l0_weight(threshold, RELAXATION)
         return ps.SR3(
-            reg_weight_lam=ps.SR3.calculate_l0_weight(threshold, relaxation),
-            relax_coeff_nu=relaxation,
-            max_iter=max_iterations,
-            unbias=debias,
+            reg_weight_lam=weight,
+            relax_coeff_nu=RELAXATION,
+            max_iter=MOST_ITERATIONS,
+            unbias=True,
         )
 
     def solve(columns: np.ndarray, rates: np.ndarray) -> np.ndarray:
         return _by_pysindy(thresholding(columns.shape[1]), columns, rates)
 
-    weight = f"relaxation {relaxation:g}"
-    if optimizer == "stlsq":
-        weight = f"ridge {ridge:g}"
-    settings = (
-        f"threshold {threshold:g}, {weight}, derivative midpoint, "
-        f"debias {debias}{_fixed_text(fixed)}"
-    )
+    weight = f"ridge {ridge:g}" if optimizer == "stlsq" else f"relaxation {RELAXATION}"
+    settings = f"threshold {threshold:g}, {weight}{_fixed_text(fixed)}"
     name = f"SINDy ({optimizer.upper()})"
     return _regressed(model, data, fixed, name, settings, solve)
 
@@ -109,7 +103,7 @@ def lasso(
     zero. Coefficients that stay are shrunk by the weight and not debiased.
     """
     require_size("weight", weight)
-    settings = f"weight {weight:g}, derivative midpoint{_fixed_text(fixed)}"
+    settings = f"weight {weight:g}{_fixed_text(fixed)}"
 
     def solve(columns: np.ndarray, rates: np.ndarray) -> np.ndarray:
         return _by_cvxpy(columns, rates, weight)
@@ -167,10 +161,7 @@ def _by_pysindy(optimizer: Any, columns: np.ndarray, rates: np.ndarray) -> np.nd
         try:
             fitted = optimizer.fit(columns, rates)
         except ConvergenceWarning as warning:
-            raise SolveError(
-                f"{warning} Allow more (max_iterations), "
-                "or change threshold or relaxation."
-            ) from None
+            raise SolveError(f"{warning} Change the threshold.") from None
         return np.asarray(fitted.coef_, dtype=float).ravel()
 
 
@@ -203,3 +194,85 @@ def _fixed_text(fixed: Mapping[str, float] | None) -> str:
     if not fixed:
         return ""
     return ", fixed " + ", ".join(f"{name}={v:g}" for name, v in fixed.items())
+
+
+# ---- a model as linear regressions of its rates: dx_i/dt = known_i + Theta_i xi_i ----
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """One equation: rates = columns times the coefficients.
+
+    Attributes:
+        equation: the state whose rate it is.
+        names: of the coefficients.
+        columns: (n_rows, n_terms), the terms at the samples.
+        rates: (n_rows,), less the terms whose coefficient is known.
+    """
+
+    equation: str
+    names: tuple[str, ...]
+    columns: np.ndarray
+    rates: np.ndarray
+
+
+def regressions(model: Model, data: Measurements) -> tuple[Regression, ...]:
+    """The regression of each equation that has unknown coefficients."""
+    record = aligned_once(model, data)
+    theta = ca.SX.sym("th", len(model.free))
+    x = ca.SX.sym("x", model.n_states)
+    u = ca.SX.sym("u", model.n_inputs)
+    t = ca.SX.sym("t", 1)
+    dx = model.rhs()(x, u, t, theta)
+    slopes = ca.jacobian(dx, theta)
+    _check_regression(model, slopes, theta)
+    x_at, u_at, t_at, rates_at = midpoint_rates(record)
+    at_zero = np.zeros((len(model.free), 1))
+    problems = []
+    for i, equation in enumerate(model.states):
+        pattern = slopes.sparsity()
+        chosen = [k for k in range(len(model.free)) if pattern.has_nz(i, k)]
+        if not chosen:
+            continue
+        row = ca.densify(ca.horzcat(dx[i], slopes[i, chosen])).T
+        at_samples = ca.Function("row", [x, u, t, theta], [row]).map(len(t_at))
+        terms = np.array(at_samples(x_at.T, u_at.T, t_at[None, :], at_zero)).T
+        names = tuple(model.free[k] for k in chosen)
+        # At zero coefficients dx is what is known already: the terms with fixed
+        # coefficients.
+        known = terms[:, 0]
+        rates = rates_at[:, i] - known
+        problems.append(Regression(equation, names, terms[:, 1:], rates))
+    return tuple(problems)
+
+
+def midpoint_rates(data: Measurements) -> tuple[np.ndarray, ...]:
+    """States, inputs and times at the middle of every interval, and the rates
+    (x1 - x0)/h there, a row per interval of all trajectories.
+
+    PHSI needs none of this: its loss compares steps, not rates.
+    """
+    hold = hold_of_each(data.hold, data.inputs)
+    parts = []
+    for run in data.trajectories:
+        x, u, t = ((v[1:] + v[:-1]) / 2 for v in (run.x, run.u, run.t))
+        u = np.where(hold == "zero", run.u[:-1], u)
+        for k in np.flatnonzero(hold == "cubic"):
+            curve = InputCurve(run.t, run.u[:, k], "cubic")
+            u[:, k] = curve.lines(run.t[:-1], run.t[1:])[:2].mean(axis=0)
+        parts.append((x, u, t, np.diff(run.x, axis=0) / np.diff(run.t)[:, None]))
+    return tuple(np.concatenate(columns) for columns in zip(*parts, strict=True))
+
+
+def _check_regression(model: Model, slopes: ca.SX, theta: ca.SX) -> None:
+    """Refuse what does not enter linearly."""
+    bent = [k for k in range(len(model.free)) if ca.depends_on(slopes[:, k], theta)]
+    # A wave's amplitude is bent by its frequency; the frequency, bent by itself too, is
+    # the one to name.
+    bent.sort(key=lambda k: not ca.depends_on(slopes[:, k], theta[k]))
+    if bent:
+        name = model.free[bent[0]]
+        raise ModelError(
+            f"parameter {name!r} does not enter linearly, so a regression such as "
+            f"SINDy cannot learn it; give a value and fix it: fixed={{{name!r}: 1.0}}."
+        )

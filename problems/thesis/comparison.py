@@ -14,8 +14,8 @@ import pandas as pd
 
 import phsi_opt as ph
 from problems.thesis import figures, methods
-from problems.thesis.methods import SIGNIFICANCE, THESIS, TUNED
-from problems.thesis.runs import Done, Run, done, medians, shown, table
+from problems.thesis.methods import SIGNIFICANCE, THESIS, TUNED, Method
+from problems.thesis.runs import Done, Setting, done, medians, shown, table
 from problems.thesis.scores import common_name, is_coefficient, is_frequency
 from problems.thesis.systems import (
     FLOWS,
@@ -34,7 +34,7 @@ MOST_EXTRA = 12  # coefficients too many that a method adds to the table
 TANK_NOISE = 0.03  # of thesis Section 6.4; its code and its Figure 6.8 have 0.005
 QUICK_N = {"henon_heiles": 150}  # trajectories of a quick run; others: 8
 # Lines of the figures.
-DRAWN = (SOLVER, DESCENT, "BSI, solver", "SINDy, STLSQ", "SSINN", "PHNN")
+DRAWN = (SOLVER, DESCENT, "BSI, solver", "SINDy, STLSQ")
 
 # What the thesis prints: Table 6.1 (noisy), 6.2 (clean), 6.3 (noise 0.03).
 TANK_ENERGIES = (24.94, 24.98, 24.98, 24.95, 24.97, 4.93, 4.96, 4.89, 4.93)
@@ -80,55 +80,45 @@ SAYS = {
     "training range PHSI alone predicts.",
 }
 
-Method = Callable[..., Any]  # (system, data, kind, seed) -> a result
-
 
 # --- every method on one system
 
 
-def methods_of(system: System, quick: bool) -> dict[str, Method]:
-    """The methods of one system in the order of the table."""
-    found: dict[str, Method] = {
-        SOLVER: methods.solver,
-        "PHSI, threshold alone": methods.solver_threshold,
-        DESCENT: methods.descent,
-        "BSI, solver": methods.bsi_solver,
-        "BSI, descent": methods.bsi_descent,
-        "SINDy, STLSQ": methods.stlsq,
-        "SINDy, SR3": methods.sr3,
-        "LASSO": methods.lasso,
-        "SSINN": methods.ssinn,
-        "PHNN": partial(methods.phnn, epochs=2 if quick else None),
-    }
-    if system.name != "henon_heiles":
-        del found["SSINN"]
-    return found
+# In the order of the table.
+METHODS: dict[str, Method] = {
+    SOLVER: methods.solver,
+    "PHSI, threshold alone": methods.solver_threshold,
+    DESCENT: methods.descent,
+    "BSI, solver": methods.bsi_solver,
+    "BSI, descent": methods.bsi_descent,
+    "SINDy, STLSQ": methods.stlsq,
+    "SINDy, SR3": methods.sr3,
+    "LASSO": methods.lasso,
+}
 
 
 def runs_of(system: System, kind: str, quick: bool) -> list[Done]:
     """All methods on clean or noisy data; the likelihood starts from the solver."""
     data = system.few(kind, QUICK_N) if quick else system.training_data(kind)
-    tests = system.tests(2 if quick else N_TESTS)
+    setting = Setting(system, data, system.tests(2 if quick else N_TESTS))
     found: list[Done] = []
-    for label, method in methods_of(system, quick).items():
+    for label, method in METHODS.items():
         made = partial(method, system, data, kind, 0)
-        keys = {"data": kind, "method": label}
-        found.append(done(Run(keys, system, data, tests, made)))
+        found.append(done(setting, made, data=kind, method=label))
         # On exact data the program of the tanks does not end within minutes.
         is_ending = (system.name, kind) != ("tanks", "clean")
         if label == SOLVER and found[0].is_model and is_ending:
             made = partial(methods.likelihood, system, data, found[0].result)
-            keys = {"data": kind, "method": LIKELIHOOD}
-            found.append(done(Run(keys, system, data, tests, made)))
+            found.append(done(setting, made, data=kind, method=LIKELIHOOD))
     return found
 
 
 def tanks_of_the_text(system: System) -> list[Done]:
     """The solver at the noise that the thesis' text has."""
     data = system.data(0, TANK_NOISE)
-    keys = {"data": f"noise {TANK_NOISE:g}", "method": SOLVER}
+    setting = Setting(system, data, system.tests(N_TESTS))
     made = partial(methods.solver, system, data)
-    return [done(Run(keys, system, data, system.tests(N_TESTS), made))]
+    return [done(setting, made, data=f"noise {TANK_NOISE:g}", method=SOLVER)]
 
 
 def system_page(name: str, quick: bool) -> str:
@@ -163,9 +153,8 @@ def coefficient_table(
     """True value beside the value of every method that learns H, R and F."""
     columns: dict[str, dict[str, str]] = {}
     for one in found:
-        is_energy = not isinstance(getattr(one.result, "model", None), ph.FirstOrder)
-        if one.is_model and hasattr(one.result, "model") and is_energy:
-            columns[str(one.run.keys["method"])] = _column(system, one.result)
+        if one.is_model and not isinstance(one.result.model, ph.FirstOrder):
+            columns[one.method] = _column(system, one.result)
     for label, values in printed.items():
         columns[f"thesis, {label}"] = {n: f"{v:g}" for n, v in values.items()}
     names = list(system.truth)
@@ -195,12 +184,12 @@ def draw(system: System, found: Mapping[str, Sequence[Done]]) -> None:
     """The figures of one system."""
     rows = []
     for kind, runs in found.items():
-        of_kind = {str(one.run.keys["method"]): one.result for one in runs}
+        of_kind = {one.method: one.result for one in runs}
         chosen = [label for label in DRAWN if label in of_kind]
         rows.append([(f"{n}, {kind} data", {n: of_kind[n]}) for n in chosen])
     figures.trajectories(f"{system.name}_trajectory", system, rows)
     figures.errors_over_time(f"{system.name}_error", found)
-    by = {str(one.run.keys["method"]): one for one in found["noisy"]}
+    by = {one.method: one for one in found["noisy"]}
     if system.name == "schrodinger":
         labels = (SOLVER, "BSI, solver", "SINDy, STLSQ")
         own = [by[label] for label in labels]
@@ -215,7 +204,6 @@ def draw(system: System, found: Mapping[str, Sequence[Done]]) -> None:
 # --- the solver beside gradient descent
 
 SIZE, BOTH = "size", "size and significance"
-RULES = {SIZE: None, BOTH: SIGNIFICANCE}
 ALL_TERMS = "solver, all terms"
 # Without any weight on H the sum of the levels of the tanks is not determined.
 LEAST = {"tanks": {"H": 1e-6}}
@@ -223,29 +211,23 @@ ROUNDING = 1e-9  # relative difference at which two losses are the same
 
 
 def descent_runs(system: System, kind: str, quick: bool) -> list[Done]:
-    """Solver and descent on the same data, pruned by both rules."""
+    """Solver and descent on the same data; the solver is pruned by either rule."""
     data = system.few(kind, QUICK_N) if quick else system.training_data(kind)
-    tests = system.tests(2 if quick else 10)
+    setting = Setting(system, data, system.tests(2 if quick else 10))
     descent = partial(methods.descent, system, data, kind)
-    wanted: list[tuple[str, str, str, Callable[[], Any]]] = []
-    for rule, level in RULES.items():
-        pruning = ph.Pruning(system.threshold, significance=level)
-        solved = partial(methods.by_solver, system, data, pruning)
-        wanted.append(("solver", rule, "-", solved))
-        made = partial(descent, 0, "thesis", TUNED, level)
-        wanted.append(("descent", rule, TUNED, made))
-    random = partial(descent, 1, "normal", TUNED, SIGNIFICANCE)
-    wanted.append(("descent, random start", BOTH, TUNED, random))
-    made = partial(descent, 0, "thesis", THESIS, None)
-    wanted.append(("descent", SIZE, THESIS, made))
-    weights = LEAST.get(system.name, {})
-    made = partial(methods.by_solver, system, data, None, l1=weights)
-    wanted.append((ALL_TERMS, "-", "-", made))
+    all_terms = partial(methods.by_solver, l1=LEAST.get(system.name, {}))
+    wanted: list[tuple[str, str, str, Callable[[], Any]]] = [
+        ("solver", SIZE, "-", partial(methods.solver_threshold, system, data)),
+        ("descent", SIZE, TUNED, partial(descent, 0, "thesis", TUNED)),
+        ("solver", BOTH, "-", partial(methods.solver, system, data)),
+        ("descent, random start", SIZE, TUNED, partial(descent, 1, "normal", TUNED)),
+        ("descent", SIZE, THESIS, partial(descent, 0, "thesis", THESIS)),
+        (ALL_TERMS, "-", "-", partial(all_terms, system, data, None)),
+    ]
     found = []
     for method, rule, settings, make in wanted:
         keys = {"system": system.title, "data": kind, "method": method}
-        keys |= {"rule": rule, "settings": settings}
-        found.append(done(Run(keys, system, data, tests, make)))
+        found.append(done(setting, make, **keys, rule=rule, settings=settings))
     return found
 
 
@@ -267,8 +249,8 @@ def ratios(rows: pd.DataFrame) -> pd.DataFrame:
     """A line per system and data: both methods' errors, terms, losses and times."""
     lines = []
     for (system, kind), part in rows.groupby(["system", "data"], sort=False):
-        of_rule = part[part["rule"] == BOTH].set_index("method")
-        ours, theirs = of_rule.loc["solver"], of_rule.loc["descent"]
+        ours = part[part["rule"] == BOTH].iloc[0]
+        theirs = part[part["settings"] == TUNED].iloc[0]
         loss = part.loc[part["method"] == ALL_TERMS, "loss"].iloc[0]
         best = part.loc[part["method"].str.startswith("descent"), "loss"].min()
         line: dict[str, Any] = {"system": system, "data": kind}
@@ -301,8 +283,8 @@ def draws_page(quick: bool) -> str:
             pruning = ph.Pruning(threshold, significance=level)
             words = f"size {threshold:g}" + (f", significance {level}" if level else "")
             made = partial(methods.by_solver, system, data, pruning)
-            run = Run({"rule": words}, system, data, system.tests(3), made)
-            ruled.append(done(run))
+            setting = Setting(system, data, system.tests(3))
+            ruled.append(done(setting, made, rule=words))
     return render(
         "thesis/pages/draws.md",
         medians=medians(table(found), ["system", "method"]),
@@ -318,8 +300,8 @@ RULED = ((0.05, None), (0.1, None), (0.15, None), (0.05, SIGNIFICANCE))
 def drawn(system: System, seed: int, n: int | None) -> list[Done]:
     """The methods on one draw."""
     data = system.data(seed, n=n)
-    tests = system.tests(10, seed=10_000 + seed)
-    keys = {"system": system.title, "draw": seed}
+    setting = Setting(system, data, system.tests(10, seed=10_000 + seed))
+    keys: dict[str, object] = {"system": system.title, "draw": seed}
     found: list[Done] = []
     for label, method in (
         ("solver", methods.solver),
@@ -327,8 +309,8 @@ def drawn(system: System, seed: int, n: int | None) -> list[Done]:
         ("descent", methods.descent),
     ):
         made = partial(method, system, data, "noisy", seed)
-        found.append(done(Run(keys | {"method": label}, system, data, tests, made)))
+        found.append(done(setting, made, **keys, method=label))
     made = partial(methods.likelihood, system, data, found[0].result)
     label = "solver, then likelihood"
-    found.append(done(Run(keys | {"method": label}, system, data, tests, made)))
+    found.append(done(setting, made, **keys, method=label))
     return found

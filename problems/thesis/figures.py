@@ -11,7 +11,7 @@ import phsi_opt as ph
 from problems.thesis.runs import Done
 from problems.thesis.scores import common_name, leak_of
 from problems.thesis.systems import System, leak
-from problems.tools.pictures import plt, save
+from problems.tools.pictures import legend_below, panels, plt, save
 
 TRUTH = "0.75"  # grey
 TANK_4 = 8  # the state that is the level of tank 4
@@ -63,11 +63,9 @@ def trajectories(
     true = curve(system.solve(np.array(example.start), t))
     n = max(map(len, rows))
     size = (max(2.2 * n, 5.0), 2.5 * len(rows) + 0.8)
-    look: Any = {"sharex": True, "sharey": True, "squeeze": False}
-    look |= {"figsize": size, "layout": "constrained"}
-    figure, axes = plt.subplots(len(rows), n, **look)
-    for panels, row in zip(rows, axes, strict=True):
-        for (title, results), ax in zip(panels, row, strict=False):
+    figure, axes = panels(len(rows), n, size, shared=True)
+    for of_row, row in zip(rows, axes, strict=True):
+        for (title, results), ax in zip(of_row, row, strict=False):
             ax.plot(*true, color=TRUTH, lw=4, label="truth")
             ends = []
             for k, (label, result) in enumerate(results.items()):
@@ -84,9 +82,8 @@ def trajectories(
         ax.set_xlabel(names[0])
     limits = [around(values) for values in true]
     axes[0, 0].set(xlim=limits[0], ylim=limits[1])
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    if len(labels) > 2:
-        figure.legend(handles, labels, loc="outside lower center", ncols=5)
+    if len(axes[0, 0].lines) > 2:
+        legend_below(axes[0, 0])
     save(figure, f"thesis/{name}.png", dpi=110)
 
 
@@ -111,28 +108,26 @@ def errors_over_time(name: str, found: Mapping[str, Sequence[Done]]) -> None:
     """Figures 6.2, 6.6, 6.8: l2 error over time, mean over the unseen starts, for clean
     and noisy data.
     """
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
-    for ax, (kind, runs) in zip(axes, found.items(), strict=True):
+    figure, axes = panels(1, 2, (11, 4.2))
+    for ax, (kind, runs) in zip(axes[0], found.items(), strict=True):
         for k, one in enumerate(runs):
-            t = one.run.tests[0]
-            label = str(one.run.keys["method"])
+            t = one.setting.tests[0]
+            label = one.method
             look = {"color": f"C{k % 10}", "ls": "-" if k < 10 else "--"}
             ax.plot(t[1:], one.curve[1:], **look, lw=1.4, label=label)
-            end = one.run.system.n_steps * one.run.system.step
+            end = one.setting.system.n_steps * one.setting.system.step
         ax.axvline(end, color="0.5", ls="--", lw=1, label="end of the training time")
         ax.set(yscale="log", xlabel="time t", ylabel="l2 error", title=f"{kind} data")
         ax.grid(alpha=0.3)
-    handles, labels = axes[1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    legend_below(axes[0, 1])
     save(figure, f"thesis/{name}.png", dpi=110)
 
 
 def learned_coefficients(name: str, found: Sequence[Done]) -> None:
     """Figure 6.4: learned against true coefficients."""
-    size: Any = {"figsize": (3.7 * len(found), 3.7), "layout": "constrained"}
-    figure, axes = plt.subplots(1, len(found), sharex=True, sharey=True, **size)
-    for ax, one in zip(axes, found, strict=True):
-        system, result = one.run.system, one.result
+    figure, axes = panels(1, len(found), (3.7 * len(found), 3.7), shared=True)
+    for ax, one in zip(axes[0], found, strict=True):
+        system, result = one.setting.system, one.result
         is_first_order = isinstance(result.model, ph.FirstOrder)
         truth = system.truth_first_order if is_first_order else system.truth
         values = {common_name(name): value for name, value in result.values.items()}
@@ -140,21 +135,21 @@ def learned_coefficients(name: str, found: Sequence[Done]) -> None:
         ax.axline((0, 0), slope=1, color="0.6", ls=":", lw=1)
         x = [truth.get(name, 0.0) for name in names]
         ax.plot(x, [values.get(name, 0.0) for name in names], "o", ms=5, alpha=0.6)
-        ax.set(title=str(one.run.keys["method"]), xlabel="true")
+        ax.set(title=one.method, xlabel="true")
         ax.grid(alpha=0.3)
-    axes[0].set_ylabel("learned")
+    axes[0, 0].set_ylabel("learned")
     save(figure, f"thesis/{name}.png", dpi=110)
 
 
 def leaks(name: str, found: Sequence[Done]) -> None:
     """Figure 6.7: the leak of tank 4 over the levels in the data."""
     figure, ax = plt.subplots(figsize=(7, 4), layout="constrained")
-    data = found[0].run.data
+    data = found[0].setting.data
     visited = np.concatenate([run.x[:, TANK_4] for run in data.trajectories])
     level = np.linspace(visited.min(), visited.max(), 401)
     ax.plot(level, leak(level), color=TRUTH, lw=6, label="truth")
     for one in found:
-        ax.plot(level, leak_of(one.result, level), label=str(one.run.keys["method"]))
+        ax.plot(level, leak_of(one.result, level), label=one.method)
     ax.set(xlabel="level of tank 4", ylabel="flow by the leak")
     ax.legend(frameon=False)
     save(figure, f"thesis/{name}.png", dpi=110)
@@ -165,8 +160,7 @@ def grids(name: str, rows: pd.DataFrame) -> None:
     per point with its error.
     """
     systems = list(rows.groupby("system", sort=False))
-    size: Any = {"figsize": (8.5, 2.8 * len(systems)), "layout": "constrained"}
-    figure, axes = plt.subplots(len(systems), 2, squeeze=False, **size)
+    figure, axes = panels(len(systems), 2, (8.5, 2.8 * len(systems)))
     for pair, (system, part) in zip(axes, systems, strict=True):
         finite = np.log10(part["l2 whole"][np.isfinite(part["l2 whole"])])
         low, high = finite.min(), finite.max()
@@ -195,8 +189,7 @@ def errors_over_noise(name: str, rows: pd.DataFrame, by: str) -> None:
     dots are medians, bars the range over the draws.
     """
     systems = list(rows.groupby("system", sort=False))
-    size: Any = {"figsize": (4 * len(systems), 4), "layout": "constrained"}
-    figure, axes = plt.subplots(1, len(systems), squeeze=False, **size)
+    figure, axes = panels(1, len(systems), (4 * len(systems), 4))
     for ax, (system, part) in zip(axes[0], systems, strict=True):
         for k, (label, own) in enumerate(part.groupby(by, sort=False)):
             runs = own.groupby("noise")["l2 whole"]
@@ -208,6 +201,5 @@ def errors_over_noise(name: str, rows: pd.DataFrame, by: str) -> None:
         ax.set_xticks(range(len(levels)), levels)
         ax.set(yscale="log", title=str(system), xlabel="noise", ylabel="l2 error")
         ax.grid(axis="y", alpha=0.3)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    legend_below(axes[0, 0])
     save(figure, f"thesis/{name}.png", dpi=110)

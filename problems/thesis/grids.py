@@ -20,10 +20,9 @@ import pandas as pd
 import phsi_opt as ph
 from problems.thesis import figures
 from problems.thesis.methods import descent
-from problems.thesis.runs import Done, Run, done, shown, table
+from problems.thesis.runs import Done, Setting, done, shown, table
 from problems.thesis.systems import SYSTEMS, System, known_leak, tank_model
-from problems.tools import markdown
-from problems.tools.pages import render
+from problems.tools.pages import number, render
 
 # Without any L1 the tanks' Casimir leaves a direction free, where iterations end late.
 SETTINGS = ph.SolverSettings(max_iterations=200)
@@ -72,10 +71,11 @@ def by_descent(
     is_sum: bool = False,
 ) -> Any:
     """Gradient descent at a point; ``is_sum``: of the loss, over batch and states."""
-    share = 1 / (BATCH * system.descent.n_states) if is_sum else 1.0
-    l1 = {**system.descent.l1, "H": weight * share}
+    n_states = len(system.states)
+    share = 1 / (BATCH * n_states) if is_sum else 1.0
+    l1 = {"H": weight * share * n_states}
     if grid.force_weight:
-        l1["F"] = grid.force_weight * share
+        l1["F"] = grid.force_weight * share * n_states
     settings = replace(
         system.descent,
         epochs=grid.epochs,
@@ -105,13 +105,12 @@ def by_solver(
 def runs_of(system: System, grid: Grid, quick: bool) -> list[Done]:
     """Both grids, and the diagonal of the descent with the loss of the text."""
     data = system.few("clean", QUICK_N) if quick else system.training_data("clean")
-    tests = system.tests(2 if quick else N_TESTS)
+    setting = Setting(system, data, system.tests(2 if quick else N_TESTS))
     found = []
 
     def ran(method: str, weight: float, pruning: str, made: Any) -> None:
         keys = {"system": system.title, "method": method, "lambda_H": weight}
-        keys["pruning"] = pruning
-        found.append(done(Run(keys, system, data, tests, made)))
+        found.append(done(setting, made, **keys, pruning=pruning))
 
     for weight in grid.weights:
         for interval in grid.intervals:
@@ -140,9 +139,9 @@ def verdict(errors: Sequence[float]) -> str:
     if not np.isfinite(least):
         return "helps (alone gives a model)"
     if best < least / ALIKE:
-        return f"helps ({markdown.number(least / best)} times)"
+        return f"helps ({number(least / best)} times)"
     if best > least * ALIKE:
-        return f"hurts ({markdown.number(best / least)} times)"
+        return f"hurts ({number(best / least)} times)"
     return "neither"
 
 
@@ -193,7 +192,7 @@ def draw_paths(system: System, grid: Grid, found: Sequence[Done]) -> None:
         panels = []
         for weight, pruning in zip(grid.weights, prunings, strict=True):
             wanted = {"method": method, "lambda_H": weight, "pruning": pruning}
-            one = next(d for d in found if wanted.items() <= d.run.keys.items())
+            one = next(d for d in found if wanted.items() <= d.row.items())
             title = f"{method.split(',')[0]}: lambda_H {weight:g}, {pruning}"
             panels.append((title, {method: one.result}))
         rows.append(panels)

@@ -17,7 +17,7 @@ import pandas as pd
 import phsi_opt as ph
 from phsi_opt.transcription.integrators import INTEGRATORS
 from problems.thesis import figures
-from problems.thesis.runs import Done, Run, done, medians, table
+from problems.thesis.runs import Done, Setting, done, medians, table
 from problems.thesis.systems import (
     LEAK_SLOPE,
     SYSTEMS,
@@ -121,10 +121,6 @@ def by_hybrid(data: ph.Measurements, integrator: str, quick: bool = False) -> An
     return hybrid(tank_model(), data, force, LEAST, PRUNING, **parts)
 
 
-# A system, its title, noises, seeds, and what makes a model from data by an integrator.
-Kind = tuple[System, str, tuple[float, ...], range, Callable[..., Any]]
-
-
 def runs_of(quick: bool) -> list[Done]:
     """Every integrator on Henon-Heiles and on the tanks, at some noises."""
     tanks = replace(SYSTEMS["tanks"], n_steps=50, test_time=0.5)
@@ -134,7 +130,8 @@ def runs_of(quick: bool) -> list[Done]:
     )
     known = partial(by_identify, tank_model(known_leak()), LEAST)
     energy = partial(by_identify, chain.model(), {})
-    wanted: list[Kind] = [
+    # System, title, noises, seeds, and what makes a model from data by an integrator.
+    wanted: list[tuple[System, str, Sequence[float], range, Callable[..., Any]]] = [
         (chain, chain.title, (1e-5, 1e-3, 0.01), range(N_DRAWS), energy),
         (tanks, NEURAL, (0.0, 0.01, 0.05), range(1), by_hybrid),
         (with_slope, KNOWN, (0.0, 0.01, 0.05), range(1), known),
@@ -153,11 +150,11 @@ def runs_of(quick: bool) -> list[Done]:
         for noise in noises:
             for seed in seeds:
                 data = system.data(seed, noise)
+                setting = Setting(system, data, tests)
                 for name in INTEGRATORS:
                     keys = {"system": title, "noise": noise, "draw": seed}
-                    keys |= {"integrator": name}
                     made = partial(make, data, name)
-                    found.append(done(Run(keys, system, data, tests, made)))
+                    found.append(done(setting, made, **keys, integrator=name))
     return found
 
 
@@ -167,8 +164,8 @@ def integrators_page(quick: bool) -> str:
     rows = table(found)
     if not quick:
         figures.errors_over_noise("integrators", rows, "integrator")
-        for title, name in ((SYSTEMS["henon_heiles"].title, "henon_heiles"),):
-            draw_paths(f"integrators_{name}", found, title)
+        title = SYSTEMS["henon_heiles"].title
+        draw_paths("integrators_henon_heiles", found, title)
         draw_paths("integrators_tanks", found, NEURAL)
     return render(
         "thesis/pages/integrators.md",
@@ -181,10 +178,10 @@ def integrators_page(quick: bool) -> str:
 
 def draw_paths(name: str, found: Sequence[Done], title: str) -> None:
     """Figures A.2, A.4: trajectories of the first draw, a panel per noise."""
-    own = [d for d in found if d.run.keys["system"] == title]
+    own = [d for d in found if d.row["system"] == title]
     panels: dict[str, dict[str, Any]] = {}
     for one in own:
-        if one.run.keys["draw"] == 0:
-            panel = panels.setdefault(f"noise {one.run.keys['noise']}", {})
-            panel[str(one.run.keys["integrator"])] = one.result
-    figures.trajectories(name, own[0].run.system, [list(panels.items())])
+        if one.row["draw"] == 0:
+            panel = panels.setdefault(f"noise {one.row['noise']}", {})
+            panel[one.row["integrator"]] = one.result
+    figures.trajectories(name, own[0].setting.system, [list(panels.items())])

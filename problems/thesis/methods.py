@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 
 import phsi_opt as ph
+from phsi_opt.baselines.descent import Descent
 from phsi_opt.model.terms import Dictionary, Term
 from problems.thesis.scores import phsi_loss
 from problems.thesis.systems import (
-    FLOWS,
     System,
+    known_leak,
     mass_spring_descent_model,
-    tank_structure,
+    tank_model,
 )
 
 SIGNIFICANCE = 0.01
@@ -34,29 +35,25 @@ DEPENDENT = 1e-10  # share of the largest singular value below which hinges are 
 # System.data(seed=101), a draw that appears in no table.
 THESIS = "thesis"
 TUNED = "tuned"
-PHNN_SETTINGS: dict[str, Any] = {
-    "learning_rate": 3e-3,
-    "penalty": 0.1,
-    "weight_decay": 1e-4,
-}
 Method = Callable[[System, ph.Measurements, str, int], Any]
 
 
 def solver(
-    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+    system: System,
+    data: ph.Measurements,
+    kind: str = "noisy",
+    seed: int = 0,
+    significance: float | None = SIGNIFICANCE,
 ) -> Any:
     """PHSI by the solver: L1, pruning by size and significance; tanks with a neural
     force of the level of tank 4.
     """
-    pruning = ph.Pruning(system.threshold, significance=SIGNIFICANCE)
+    pruning = ph.Pruning(system.threshold, significance=significance)
     return by_solver(system, data, pruning, seed)
 
 
-def solver_threshold(
-    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
-) -> Any:
-    """PHSI by the solver with the plain threshold of the thesis."""
-    return by_solver(system, data, ph.Pruning(system.threshold), seed)
+# With the plain threshold of the thesis.
+solver_threshold: Method = partial(solver, significance=None)
 
 
 def by_solver(
@@ -126,33 +123,31 @@ def descent(
     seed: int = 0,
     start: str = "thesis",
     settings: str = TUNED,
-    significance: float | None = None,
 ) -> Any:
-    """PHSI by gradient descent: Algorithm 6 of the thesis.
+    """PHSI by gradient descent: Algorithm 6 of the thesis, which prunes by size.
 
-    ``start`` is "thesis" or "normal"; ``significance`` None prunes by size alone, which
-    is the thesis' rule.
+    ``start`` is "thesis" or "normal".
     """
-    from problems.thesis.joint_descent import joint_descent
+    from phsi_opt.baselines.gradient_descent import gradient_descent
 
-    chosen, force = descent_settings(system, kind, start, settings)
-    return joint_descent(descent_model(system), data, chosen, seed, force, significance)
-
-
-def descent_model(system: System) -> Any:
-    """The model that gradient descent begins with."""
-    is_spring = system.name == "mass_spring"
-    return mass_spring_descent_model() if is_spring else system.model()
+    chosen = replace(descent_settings(system, kind, settings), start=start)
+    return gradient_descent(descent_model(system), data, chosen, seed)
 
 
-def descent_settings(
-    system: System, kind: str, start: str = "thesis", settings: str = TUNED
-) -> tuple[Any, Any]:
-    """Settings of the descent, and the force beside it."""
-    chosen = system.descent if kind == "clean" else system.descent_noisy
+def descent_model(system: System) -> ph.PseudoHamiltonian:
+    """The model that gradient descent begins with; of the tanks with the known form of
+    the leak, in place of the network that the thesis trains.
+    """
+    if system.name == "mass_spring":
+        return mass_spring_descent_model()
+    return tank_model(known_leak()) if system.name == "tanks" else system.model()
+
+
+def descent_settings(system: System, kind: str, settings: str) -> Descent:
+    """Settings of the descent on clean or noisy data."""
     if settings == THESIS:
-        chosen = system.descent_thesis
-    return chosen.settings(start)
+        return system.descent_thesis
+    return system.descent if kind == "clean" else system.descent_noisy
 
 
 def bsi_solver(
@@ -169,7 +164,6 @@ def bsi_descent(
     data: ph.Measurements,
     kind: str = "noisy",
     seed: int = 0,
-    settings: str = TUNED,
 ) -> Any:
     """The dictionary of right-hand sides (BSI) by gradient descent.
 
@@ -177,8 +171,8 @@ def bsi_descent(
     """
     from phsi_opt.baselines.gradient_descent import gradient_descent
 
-    chosen = descent_settings(system, kind, settings=settings)[0]
-    return gradient_descent(system.first_order(), data, replace(chosen, l1={}), seed)
+    chosen = replace(descent_settings(system, kind, TUNED), l1={})
+    return gradient_descent(system.first_order(), data, chosen, seed)
 
 
 def sindy(
@@ -222,48 +216,6 @@ def lasso(
 
     found = fitted(min(LASSO_WEIGHTS, key=held_out_loss), data)
     return replace(found, seconds=time.perf_counter() - began)
-
-
-def ssinn(
-    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
-) -> Any:
-    """Separable Hamiltonian, symplectic steps, gradient descent; only for a system
-    whose energy is T(p) + V(q).
-    """
-    from problems.peers.ssinn import ssinn as by_ssinn
-
-    return by_ssinn(data, ["q1", "q2"], ["p1", "p2"], 3, seed=seed)
-
-
-def phnn(
-    system: System,
-    data: ph.Measurements,
-    kind: str = "noisy",
-    seed: int = 0,
-    epochs: int | None = None,
-) -> Any:
-    """Pseudo-Hamiltonian neural network: H (and F) are networks.
-
-    The thesis trains it on the mass-spring alone (appendix B.3); the others get the
-    same settings. Its loss is a mean over the states, the one here a sum: penalty and
-    weight decay are multiplied by their number. ``epochs``: fewer, for a quick run.
-    """
-    from problems.peers.phnn import NetworkDescent
-    from problems.peers.phnn import phnn as by_phnn
-
-    n_states = len(system.states)
-    is_tanks = system.name == "tanks"
-    S = tank_structure() if is_tanks else ph.canonical(n_states // 2)
-    damping = {"mass_spring": ["p"], "tanks": list(FLOWS)}.get(system.name, [])
-    forces = {"mass_spring": (["p"], ["t"]), "tanks": (["mu4"], ["mu4"])}
-    chosen = NetworkDescent(**PHNN_SETTINGS)
-    chosen = replace(
-        chosen,
-        epochs=epochs or chosen.epochs,
-        penalty=chosen.penalty * n_states,
-        weight_decay=chosen.weight_decay * n_states,
-    )
-    return by_phnn(data, S, chosen, damping, forces.get(system.name), seed)
 
 
 def _frequencies(system: System) -> dict[str, float] | None:

@@ -18,7 +18,7 @@ import phsi_opt as ph
 from problems.thesis.runs import shown
 from problems.thesis.scores import model_rates
 from problems.tools.pages import render
-from problems.tools.pictures import plt, save
+from problems.tools.pictures import legend_below, panels, save
 
 WEIGHTS = ((0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.1, 0.1))  # lambda_H, lambda_F
 SPREAD = 0.5  # standard deviation of the random starts (thesis Section 5.1)
@@ -147,8 +147,7 @@ def regularization_page(quick: bool) -> str:
 def draw(found: Sequence[Split]) -> None:
     """Figure 5.1: phase plots, a column per pair of weights, a row per part."""
     names = list(parts(found[0].result.model))
-    size: Any = {"figsize": (10.0, 7.8), "layout": "constrained"}
-    figure, axes = plt.subplots(3, len(WEIGHTS), sharex=True, sharey=True, **size)
+    figure, axes = panels(3, len(WEIGHTS), (10.0, 7.8), shared=True)
     circle = np.linspace(0, 2 * np.pi, 200)
     for row, name in zip(axes, names, strict=True):
         row[0].set_ylabel(f"{name}\n\np (-)")
@@ -164,8 +163,7 @@ def draw(found: Sequence[Split]) -> None:
         ax.set_title(f"$\\lambda_H$ = {on_energy:g}, $\\lambda_F$ = {on_force:g}")
     for ax in axes[-1]:
         ax.set_xlabel("q (-)")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    legend_below(axes[0, 0])
     save(figure, "thesis/regularization.png", dpi=110)
 
 

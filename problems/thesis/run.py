@@ -6,18 +6,11 @@ Names are those of `EXPERIMENTS`; all without one, each in a process of its own.
 --quick: each with few data, on one system; its page is said and not written.
 """
 
-import os
-
-# Before NumPy is loaded: equal terms for all.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from functools import partial
-from multiprocessing import get_context
 
 from problems.thesis.comparison import descent_page, draws_page, system_page
 from problems.thesis.grids import grids_page
@@ -26,6 +19,7 @@ from problems.thesis.questions import questions_page
 from problems.thesis.regularization import regularization_page
 from problems.tools.command_line import chosen, flag, option
 from problems.tools.provenance import write
+from problems.tools.workers import fresh_processes
 
 SAID = 30  # lines of a page that a quick run says
 # Of each experiment, the page and what makes its text from ``quick``; those that take
@@ -65,11 +59,8 @@ def main() -> int:
     unknown = set(names) - set(EXPERIMENTS)
     if unknown:
         raise SystemExit(f"{unknown.pop()!r} is none of {', '.join(EXPERIMENTS)}.")
-    spawn = get_context("spawn")
     n_failed = 0
-    with ProcessPoolExecutor(
-        int(option("jobs", "2")), spawn, max_tasks_per_child=1
-    ) as pool:
+    with fresh_processes(int(option("jobs", "2"))) as pool:
         asked = {pool.submit(made, name, quick): name for name in names}
         for future in as_completed(asked):
             error = future.exception()

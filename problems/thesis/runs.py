@@ -1,7 +1,7 @@
 """Runs: a model from a set of data by some method, and what it is worth."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,39 +15,37 @@ from problems.thesis.scores import (
     free_run,
     phsi_loss,
     score,
-    trained,
 )
 from problems.thesis.systems import System
 
-Tests = tuple[np.ndarray, np.ndarray]  # times, and states from unseen starts
-
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """One model.
+class Setting:
+    """What models are made from, and what they are compared with.
 
     Attributes:
-        keys: Its cells of the table, such as system, data, method.
-        system: With the truth that it is compared with.
-        data: What it is made from.
-        tests: Free runs that it has to predict.
-        make: Makes the result.
+        system: with its truth.
+        data: what they are made from.
+        tests: times, and states from unseen starts, which they have to predict.
     """
 
-    keys: Mapping[str, object]
     system: System
     data: ph.Measurements
-    tests: Tests
-    make: Callable[[], Any]
+    tests: tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class Done:
-    """A run with its line of the table, its result (or the error that it raised), and
-    the l2 error of its free runs over time (n_samples,).
+    """A model of a setting, or the error that was raised.
+
+    Attributes:
+        setting: of the model.
+        row: its line of the table.
+        result: the model, or the error.
+        curve: l2 error of its free runs over time (n_samples,).
     """
 
-    run: Run
+    setting: Setting
     row: dict[str, Any]
     result: Any
     curve: np.ndarray
@@ -57,33 +55,39 @@ class Done:
         """Whether there is a result."""
         return not isinstance(self.result, ph.PhsiOptError)
 
+    @property
+    def method(self) -> str:
+        """How it was made, as the table says."""
+        return str(self.row["method"])
 
-def done(run: Run) -> Done:
-    """Make and score one model, in processor seconds; beside its line it is said."""
+
+def done(setting: Setting, make: Callable[[], Any], **keys: object) -> Done:
+    """Make and score one model, in processor seconds; its line begins with the keys,
+    and is printed.
+    """
     began = time.process_time()
-    result = attempted(run.make)
-    row: dict[str, Any] = {**run.keys, "largest error": np.nan, "relative error": 1.0}
-    row |= {"spurious": 0, "missed": len(run.system.truth), "covered": np.nan}
+    result = attempted(make)
+    system, t = setting.system, setting.tests[0]
+    row: dict[str, Any] = {**keys, "largest error": np.nan, "relative error": 1.0}
+    row |= {"spurious": 0, "missed": len(system.truth), "covered": np.nan}
     row |= {"loss": np.nan, "l2 inside": np.inf, "l2 whole": np.inf}
     row |= {"seconds": time.process_time() - began, "remark": ""}
-    curve = np.full(len(run.tests[0]), np.inf)
+    curve = np.full(len(t), np.inf)
     if isinstance(result, ph.PhsiOptError):
         row["remark"] = str(result)[:100]
     else:
-        found = score(run.system, result)
-        curve = free_run(result, *run.tests)
-        is_inside = trained(run.system, run.tests[0])
+        found = score(system, result)
+        curve = free_run(result, *setting.tests)
+        is_inside = t <= system.n_steps * system.step + 1e-9  # of the training
         row |= {"largest error": found.largest, "relative error": found.relative}
         row |= {"l2 inside": curve[is_inside].mean(), "l2 whole": curve.mean()}
-        if hasattr(result, "model"):
-            row |= {**found.counts, "loss": phsi_loss(result, run.data)}
-            errors = getattr(result, "std_errors", {})
-            known = [n for n in run.system.truth if np.isfinite(errors.get(n, np.nan))]
-            row["covered"] = coverage(run.system, result, known)
-        else:  # a network has no terms
-            row |= {"spurious": np.nan, "missed": np.nan, "loss": result.loss_value}
+        row |= {"spurious": len(found.spurious), "missed": len(found.missed)}
+        row |= {"loss": phsi_loss(result, setting.data)}
+        errors = result.std_errors
+        known = [n for n in system.truth if np.isfinite(errors.get(n, np.nan))]
+        row["covered"] = coverage(system, result, known)
     print("...", *row.values(), sep=", ", flush=True)
-    return Done(run, row, result, curve)
+    return Done(setting, row, result, curve)
 
 
 def table(found: Iterable[Done]) -> pd.DataFrame:

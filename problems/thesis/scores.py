@@ -25,7 +25,6 @@ class Score:
 
     ``largest`` is the largest absolute error of any coefficient, terms that are missing
     or too many included, ``relative`` the largest relative error of a true coefficient.
-    Both are NaN for a network.
     """
 
     largest: float
@@ -33,16 +32,9 @@ class Score:
     spurious: tuple[str, ...]
     missed: tuple[str, ...]
 
-    @property
-    def counts(self) -> dict[str, int]:
-        """How many terms are too many and too few."""
-        return {"spurious": len(self.spurious), "missed": len(self.missed)}
-
 
 def score(system: System, result: Any) -> Score:
     """Score of a pseudo-Hamiltonian or a first-order result."""
-    if not hasattr(result, "model"):
-        return Score(np.nan, np.nan, (), ())
     first_order = isinstance(result.model, ph.FirstOrder)
     truth = system.truth_first_order if first_order else system.truth
     found = {}
@@ -107,12 +99,7 @@ def free_run(result: Any, t: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return errors.mean(axis=0)
 
 
-def trained(system: System, t: np.ndarray) -> np.ndarray:
-    """Which of the times lie within the time of the training trajectories."""
-    return t <= system.n_steps * system.step + 1e-9
-
-
-def phsi_loss(result: Any, data: ph.Measurements, scheme: str = "srk4") -> float:
+def phsi_loss(result: Any, data: ph.Measurements) -> float:
     """Mean over the intervals of the squared defect (thesis Eq. 5.6 without L1).
 
     Networks are included. Computed in NumPy alone.
@@ -125,7 +112,7 @@ def phsi_loss(result: Any, data: ph.Measurements, scheme: str = "srk4") -> float
     def g(x: np.ndarray, c: float) -> np.ndarray:
         return rates(result, x, t0 + c * grid.h)
 
-    defect = (x1 - x0) / h - integrator(scheme).psi(g, x0, x1, h)
+    defect = (x1 - x0) / h - integrator("srk4").psi(g, x0, x1, h)
     return float(np.mean(np.sum(defect**2, axis=1)))
 
 
@@ -135,8 +122,7 @@ def rates(result: Any, x: np.ndarray, t: np.ndarray) -> np.ndarray:
     force = getattr(result, "force", None)
     if force is None:
         return dx
-    of_force = force if hasattr(force, "equations") else result.neural
-    dx[:, [result.model.index(name) for name in of_force.equations]] += force(x)
+    dx[:, [result.model.index(name) for name in force.equations]] += force(x)
     return dx
 
 

@@ -21,76 +21,14 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
+from phsi_opt.baselines.descent import Descent
 from phsi_opt.model.terms import Dictionary, Term
 from problems.tools.data_paths import folder
+from problems.tools.simulation import integrated
 
 Vector = np.ndarray
-
-
-@dataclass(frozen=True)
-class Descent:
-    """How gradient descent trains: Adam in batches of 32, pruning every ``prune_every``
-    epochs from ``prune_from`` on (None: twice ``prune_every``, as in the code of the
-    thesis).
-
-    Rates, epochs, pruning are those of the thesis. ``weight_decay``, ``l1`` and
-    ``force_penalty`` belong to its loss, a mean over the states; `settings` multiplies
-    them by ``n_states``, because the loss here is a sum. L1 on H ends after half of the
-    epochs. Tuned (on System.data(seed=101)): the rate decays along a cosine; see the
-    entries.
-
-    `System.descent_thesis` is appendix B of the thesis as it is printed: its rate,
-    constant to the end, weight decay and L1 weights.
-
-    ``network``: widths of a joint force of ``network_on`` (the tanks; tanh, then ReLU),
-    with its own ``force_rate``.
-    """
-
-    learning_rate: float
-    epochs: int
-    prune_every: int
-    threshold: float
-    weight_decay: float = 0.0
-    l1: Mapping[str, float] = field(default_factory=dict)
-    n_states: int = 4
-    decay: str = "cosine"
-    network: tuple[int, ...] = ()
-    network_on: str = ""
-    force_rate: float | None = None
-    force_penalty: float = 0.0
-    prune_from: int | None = None
-
-    def settings(self, start: str = "thesis") -> tuple[Any, Any]:
-        """Settings of `joint_descent` and its force (None without one)."""
-        from phsi_opt.baselines.descent import Descent as Settings
-        from problems.peers.joint_force import JointForce
-
-        scaled = {slot: weight * self.n_states for slot, weight in self.l1.items()}
-        made = Settings(
-            self.learning_rate,
-            self.epochs,
-            decay=self.decay,
-            start=start,
-            prune_every=self.prune_every,
-            prune_from=self.prune_from or 2 * self.prune_every,
-            threshold=self.threshold,
-            weight_decay=self.weight_decay * self.n_states,
-            l1=scaled,
-        )
-        if not self.network:
-            return made, None
-        where = (self.network_on,)
-        return made, JointForce(
-            where,
-            where,
-            self.network,
-            self.force_penalty * self.n_states,
-            "tanh",
-            self.force_rate,
-        )
 
 
 @dataclass(frozen=True)
@@ -100,7 +38,8 @@ class System:
     ``truth`` are the coefficients of the pseudo-Hamiltonian dictionary that are not
     zero, ``truth_first_order`` those of the dictionary of right-hand sides. ``step``
     and ``n_steps`` describe one training trajectory, ``test_time`` the length of a test
-    trajectory (101 samples).
+    trajectory (101 samples). ``descent`` and ``descent_noisy`` are how gradient descent
+    trains on clean and on noisy data, ``descent_thesis`` as the thesis prints it.
     """
 
     name: str
@@ -125,10 +64,7 @@ class System:
 
     def solve(self, x0: Vector, t: Vector) -> Vector:
         """The true states (n_samples, n_states)."""
-        solved = solve_ivp(
-            self.rhs, (t[0], t[-1]), x0, "DOP853", t, rtol=1e-12, atol=1e-13
-        )
-        return solved.y.T
+        return integrated(self.rhs, t, x0, rtol=1e-12, atol=1e-13)
 
     def data(
         self,
@@ -415,9 +351,43 @@ def _mass_spring_rates() -> ph.FirstOrder:
     return ph.FirstOrder(["q", "p"], {"q": both, "p": both + ph.trigonometric("t")})
 
 
-_Q = ("q1", "q2", "p1", "p2")
-# Adam's for all experiments (appendix B).
+# --- how gradient descent trains: Adam in batches of 32
+
+# The weight decay of all experiments (appendix B).
 THESIS_DECAY = 1e-4
+
+
+def tuned_descent(
+    rate: float, epochs: int, every: int, threshold: float, l1_of_energy: float = 0.0
+) -> Descent:
+    """Rate, epochs and pruning of the thesis, from twice the first interval on, as its
+    code has it. Tuned (on System.data(seed=101)): the rate decays along a cosine.
+
+    L1 on H, which ends after half of the epochs, is that of this package's loss, a sum
+    over the states.
+    """
+    return Descent(
+        rate,
+        epochs,
+        decay="cosine",
+        prune_every=every,
+        prune_from=2 * every,
+        threshold=threshold,
+        l1={"H": l1_of_energy} if l1_of_energy else {},
+    )
+
+
+def printed_descent(tuned: Descent, n_states: int, **changes: Any) -> Descent:
+    """Appendix B as it is printed: the rate is constant to the end, with weight decay.
+
+    The loss of the thesis is a mean over the states, so that its weights are multiplied
+    by their number.
+    """
+    weight_decay = THESIS_DECAY * n_states
+    return replace(tuned, decay="none", weight_decay=weight_decay, **changes)
+
+
+_Q = ("q1", "q2", "p1", "p2")
 
 
 def coefficients(slot: str, text: str) -> dict[str, float]:
@@ -463,12 +433,12 @@ _HENON_HEILES = System(
     model=_polynomial_energy(_Q, 3),
     first_order=_polynomial_rates(_Q, 2),
     # The cosine is all that was tuned.
-    descent=Descent(3e-3, 60, 5, 0.05),
-    descent_noisy=Descent(1e-3, 60, 5, 0.05),
-    descent_thesis=Descent(3e-3, 60, 5, 0.05, THESIS_DECAY, decay="none"),
+    descent=tuned_descent(3e-3, 60, 5, 0.05),
+    descent_noisy=tuned_descent(1e-3, 60, 5, 0.05),
+    descent_thesis=printed_descent(tuned_descent(3e-3, 60, 5, 0.05), 4),
 )
 
-_SCHRODINGER_DESCENT = Descent(1e-2, 100, 20, 0.04)
+_SCHRODINGER_DESCENT = tuned_descent(1e-2, 100, 20, 0.04)
 _SCHRODINGER = System(
     name="schrodinger",
     title="Schroedinger",
@@ -499,14 +469,12 @@ _SCHRODINGER = System(
     descent=_SCHRODINGER_DESCENT,
     descent_noisy=_SCHRODINGER_DESCENT,
     # The text's threshold is 0.05, its code's 0.04, which is taken.
-    descent_thesis=replace(
-        _SCHRODINGER_DESCENT, weight_decay=THESIS_DECAY, decay="none"
-    ),
+    descent_thesis=printed_descent(_SCHRODINGER_DESCENT, 4),
 )
 
 # Tuned: no L1 on F (the thesis: 0.01) and no weight decay (1e-4), which only shrink the
 # wave. The rate is that of the thesis' code (its text: 3e-3).
-_MASS_SPRING_DESCENT = Descent(5e-3, 150, 20, 0.05, l1={"H": 0.1}, n_states=2)
+_MASS_SPRING_DESCENT = tuned_descent(5e-3, 150, 20, 0.05, 0.1 * 2)
 _WAVE = {"F_p[sin(omega_t*t)]": ALPHA, "F_p.omega_t": OMEGA}
 _MASS_SPRING = System(
     name="mass_spring",
@@ -526,30 +494,14 @@ _MASS_SPRING = System(
     l1={"H": 0.01, "F": 0.01},
     descent=_MASS_SPRING_DESCENT,
     descent_noisy=_MASS_SPRING_DESCENT,
-    descent_thesis=replace(
-        _MASS_SPRING_DESCENT,
-        learning_rate=3e-3,
-        weight_decay=THESIS_DECAY,
-        l1={"H": 0.1, "F": 0.01},
-        decay="none",
+    descent_thesis=printed_descent(
+        _MASS_SPRING_DESCENT, 2, learning_rate=3e-3, l1={"H": 0.1 * 2, "F": 0.01 * 2}
     ),
 )
 
-# Tuned: a slower force, no weight decay. Appendix B's lambda_1 = 0.5 is read as that of
-# H, lambda_2 = 0.001 as that of F (the order of Eq. 5.6); the other way round,
-# circulations, which S does not see, stay in H.
-_TANK_DESCENT = Descent(
-    3e-2,
-    100,
-    10,
-    0.05,
-    l1={"H": 0.5},
-    n_states=9,
-    network=(100, 100),
-    network_on="mu4",
-    force_rate=3e-3,
-    force_penalty=0.001,
-)
+# Tuned: no weight decay. Appendix B's lambda_1 = 0.5 is read as that of H (the order of
+# Eq. 5.6); the other way round, circulations, which S does not see, stay in H.
+_TANK_DESCENT = tuned_descent(3e-2, 100, 10, 0.05, 0.5 * 9)
 _TANKS = System(
     name="tanks",
     title="Tanks and pipes",
@@ -572,10 +524,7 @@ _TANKS = System(
     l1={"H": 1e-3},
     descent=_TANK_DESCENT,
     descent_noisy=_TANK_DESCENT,
-    # One rate for dictionary and network, as appendix B has it.
-    descent_thesis=replace(
-        _TANK_DESCENT, weight_decay=THESIS_DECAY, decay="none", force_rate=None
-    ),
+    descent_thesis=printed_descent(_TANK_DESCENT, 9),
 )
 
 SYSTEMS = {s.name: s for s in (_HENON_HEILES, _SCHRODINGER, _MASS_SPRING, _TANKS)}

@@ -6,15 +6,36 @@ format of Python: ``{{ share|fmt(".0%") }}``.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 
 import jinja2
 import pandas as pd
 
-from problems.tools import markdown
-from problems.tools.provenance import ROOT
+from problems.tools.provenance import ROOT, write
 
 FENCED = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
+
+
+def table(records: pd.DataFrame | Sequence[Mapping[str, object]]) -> str:
+    """A table in Markdown; a bar inside a cell would end it and becomes "or"."""
+    shown = pd.DataFrame(records)
+    return lines(map(str, shown.columns), shown.astype(str).to_numpy().tolist())
+
+
+def lines(header: Iterable[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table in Markdown from its header and its rows of cells."""
+    names = list(header)
+    return "\n".join(map(_line, (names, ["---"] * len(names), *rows)))
+
+
+def _line(cells: Sequence[object]) -> str:
+    shown = [str(cell).replace("|", " or ") for cell in cells]
+    return f"| {' | '.join(shown)} |"
+
+
+def number(value: float) -> str:
+    """Two digits, without an exponent where the number is large."""
+    return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"
 
 
 def _block(text: str) -> str:
@@ -22,12 +43,15 @@ def _block(text: str) -> str:
 
 
 def _frame(shown: pd.DataFrame, digits: int = 3) -> str:
-    return "\n".join(markdown.frame(shown, digits)).rstrip()
+    """A block with a data frame without its index."""
+    number_format = f"{{:.{digits}g}}".format
+    return _block(shown.to_string(index=False, float_format=number_format))
 
 
 def _listed(words: Iterable[object]) -> str:
-    found = list(words)
-    return markdown.enumerated(found) if found else "none"
+    """The words as in: a, b and c."""
+    *first, last = list(map(str, words)) or ["none"]
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 _TEMPLATES = jinja2.Environment(
@@ -41,8 +65,8 @@ _TEMPLATES.filters |= {
     "fmt": format,
     "frame": _frame,
     "listed": _listed,
-    "number": markdown.number,
-    "table": markdown.table,
+    "number": number,
+    "table": table,
 }
 
 
@@ -52,6 +76,13 @@ def render(template: str, **values: object) -> str:
     # Every second part is a block, which stays as it is.
     parts[::2] = [_unwrapped(part) for part in parts[::2]]
     return "".join(parts)
+
+
+def publish(page: str, text: str, is_written: bool) -> None:
+    """Print a page, and write it to results/ unless the run was a small one."""
+    print(text)
+    if is_written:
+        write(page, text)
 
 
 def _unwrapped(text: str) -> str:

@@ -55,17 +55,18 @@ def commit() -> str:
     """The commit in short, at the first call of a process, which runs on the code of
     then; unknown without git.
     """
+    return (git("rev-parse", "--short", "HEAD") or "unknown").strip()
+
+
+def git(*arguments: str) -> str | None:
+    """What git prints of the project; None if it fails or is not there."""
     try:
-        run = subprocess.run(
-            ["git", "rev-parse", "--short", "HEAD"],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=False,
+        done = subprocess.run(
+            ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
         )
     except OSError:
-        return "unknown"
-    return run.stdout.strip() or "unknown"
+        return None
+    return done.stdout if done.returncode == 0 else None
 
 
 def write(
