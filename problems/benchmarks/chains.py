@@ -3,9 +3,9 @@
 from itertools import pairwise
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
+from problems.tools.simulation import integrated
 
 STEP = 0.1
 NOISE = 0.02
@@ -48,8 +48,7 @@ def data(n_masses: int, n_samples: int) -> ph.Measurements:
     t = STEP * np.arange(n_samples)
     q = 0.5 * np.cumsum(rng.normal(size=n_masses))
     start = np.concatenate([q, 0.5 * rng.normal(size=n_masses)])
-    solved = solve_ivp(_rates, (0.0, t[-1]), start, "DOP853", t, rtol=1e-10, atol=1e-10)
-    x = solved.y.T
+    x = integrated(_rates, t, start, rtol=1e-10, atol=1e-10)
     y = x + NOISE * rng.normal(size=x.shape)
     states = [name for kind in names(n_masses) for name in kind]
     return ph.Measurements.from_arrays(t, y, states=states)
@@ -97,7 +96,9 @@ def driven(n_masses: int, hidden: int | None = None) -> ph.PseudoHamiltonian:
     )
 
 
-def driven_data(n_masses: int, n_samples: int, seed: int) -> ph.Measurements:
+def driven_data(
+    n_masses: int, n_samples: int, seed: int, has_momenta: bool = False
+) -> ph.Measurements:
     """One record of the positions, friction on the mass in the middle."""
     truth = driven(n_masses, hidden=(n_masses + 1) // 2)
     rng = np.random.default_rng(seed)
@@ -106,7 +107,8 @@ def driven_data(n_masses: int, n_samples: int, seed: int) -> ph.Measurements:
     waves = np.sin(np.outer(t, rng.uniform(0.3, 3.0, 8)) + phases)
     u = waves.sum(axis=1, keepdims=True) / 2
     x = ph.simulate(truth, t, np.r_[0.5, np.zeros(2 * n_masses - 1)], u)
-    q = x[:, :n_masses]
-    x[:, :n_masses] += NOISE * np.std(q, axis=0) * rng.normal(size=q.shape)
-    x[:, n_masses:] = np.nan
+    for part in np.split(x, 2, axis=1):  # positions first
+        part += NOISE * np.std(part, axis=0) * rng.normal(size=part.shape)
+    if not has_momenta:
+        x[:, n_masses:] = np.nan
     return ph.Measurements.from_arrays(t, x, u, states=truth.states, inputs=["u"])

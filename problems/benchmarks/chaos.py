@@ -6,13 +6,14 @@ with the states as unknowns has no such trouble; the same sensitivity that spoil
 prediction makes the parameters precise.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
+from problems.tools.simulation import integrated
 
 NOISE = 0.1  # of each channel's standard deviation
 START = 1.0  # of a parameter of the Lorenz system
@@ -31,7 +32,7 @@ class Chaos:
 
     title: str
     states: tuple[str, ...]
-    rhs: Callable[[float, np.ndarray], np.ndarray]
+    rhs: Callable[[float, np.ndarray], Any]
     start: tuple[float, ...]
     step: float
     n_steps: int
@@ -50,11 +51,7 @@ class Chaos:
 
     def solve(self) -> np.ndarray:
         """The true states (n_samples, n_states)."""
-        t = self.times
-        solved = solve_ivp(
-            self.rhs, (t[0], t[-1]), self.start, "DOP853", t, rtol=1e-12, atol=1e-12
-        )
-        return solved.y.T
+        return integrated(self.rhs, self.times, self.start, rtol=1e-12, atol=1e-12)
 
     def spread(self, x: np.ndarray) -> np.ndarray:
         """What the noise is relative to, (n_states,)."""
@@ -79,9 +76,15 @@ BETA = 8 / 3
 LORENZ_TRUTH = {"sigma": SIGMA, "rho": RHO, "beta": BETA}
 
 
-def _lorenz(t: float, state: np.ndarray) -> np.ndarray:
-    x, y, z = state
-    return np.array([SIGMA * (y - x), x * (RHO - z) - y, x * y - BETA * z])
+def lorenz_rates(
+    _t: Any, x: Sequence[Any], theta: Sequence[Any], _cos: Any = None
+) -> list[Any]:
+    """Numbers of numbers, symbols of symbols; theta: sigma, rho, beta."""
+    return [
+        theta[0] * (x[1] - x[0]),
+        x[0] * (theta[1] - x[2]) - x[1],
+        x[0] * x[1] - theta[2] * x[2],
+    ]
 
 
 def lorenz_model() -> ph.FirstOrder:
@@ -166,7 +169,6 @@ def lorenz(
     measured: tuple[str, ...],
     steps: int | None = 1,
     dictionary: bool = False,
-    n_steps: int = 1500,
 ) -> Chaos:
     """Lorenz sampled every 0.02 s.
 
@@ -176,10 +178,10 @@ def lorenz(
     return Chaos(
         title,
         states=("x", "y", "z"),
-        rhs=_lorenz,
+        rhs=lambda t, x: lorenz_rates(t, x.tolist(), (SIGMA, RHO, BETA)),
         start=(-5.0, -6.0, 22.0),
         step=0.02,
-        n_steps=n_steps,
+        n_steps=1500,
         lyapunov=0.906,
         truth=_dictionary_truth() if dictionary else LORENZ_TRUTH,
         model=lorenz_dictionary if dictionary else lorenz_model,

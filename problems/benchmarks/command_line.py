@@ -16,24 +16,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from problems.benchmarks.stress import COMMAND, EXAMPLE
 from problems.tools import provenance
 from problems.tools.command_line import flag
-from problems.tools.pages import render
+from problems.tools.pages import publish, render
 
 N_TIMES = 3
-DEMO = provenance.ROOT / "phsi_opt" / "study_file" / "examples" / "spring"
 IMPORTS = "importing numpy, scipy, pandas, casadi"
-PHSI_OPT = ("-m", "phsi_opt.command_line")
 COMMANDS = {
     IMPORTS: ("-c", "import numpy, scipy, pandas, casadi"),
-    "--help": (*PHSI_OPT, "--help"),
-    "fit missing.toml": (*PHSI_OPT, "fit", "missing.toml"),
-    "check broken.toml": (*PHSI_OPT, "check", "broken.toml"),
-    "init missing.csv": (*PHSI_OPT, "init", "missing.csv"),
-    "check": (*PHSI_OPT, "check"),
-    "effects": (*PHSI_OPT, "effects"),
-    "fit": (*PHSI_OPT, "fit"),
-    "compare, after fit": (*PHSI_OPT, "compare"),
+    "--help": (*COMMAND, "--help"),
+    "fit missing.toml": (*COMMAND, "fit", "missing.toml"),
+    "check broken.toml": (*COMMAND, "check", "broken.toml"),
+    "init missing.csv": (*COMMAND, "init", "missing.csv"),
+    "check": (*COMMAND, "check"),
+    "effects": (*COMMAND, "effects"),
+    "fit": (*COMMAND, "fit"),
+    "compare, after fit": (*COMMAND, "compare"),
 }
 LIMITS = {"--help": 0.5, "fit missing.toml": 0.5, "check broken.toml": 0.5}
 LIMITS |= {"init missing.csv": 0.5, "check": 2.0, "fit": 4.0}
@@ -43,7 +42,7 @@ def seconds(arguments: Sequence[str], folder: Path) -> float:
     """Processor time of a Python process and its children."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     environment = {**os.environ, "PYTHONPATH": str(provenance.ROOT)}
-    environment |= {"OMP_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": str(folder / "pyc")}
+    environment |= {"PYTHONPYCACHEPREFIX": str(folder / "pyc")}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [sys.executable, *arguments]
     subprocess.run(command, cwd=folder, env=environment, capture_output=True)
@@ -57,7 +56,7 @@ def shortest(n_times: int) -> dict[str, float]:
     found = dict.fromkeys(COMMANDS, float("inf"))
     with TemporaryDirectory() as place:
         folder = Path(place)
-        for file in DEMO.iterdir():
+        for file in EXAMPLE.iterdir():
             shutil.copy(file, folder)
         (folder / "broken.toml").write_text("[data")
         for number in range(n_times + 1):
@@ -81,10 +80,9 @@ def page(found: dict[str, float]) -> str:
 
 def main() -> None:
     """Measure, and write the page."""
-    if flag("quick"):
-        print(page(shortest(1)))
-        return
-    provenance.write("command_line.md", page(shortest(N_TIMES)))
+    quick = flag("quick")
+    text = page(shortest(1 if quick else N_TIMES))
+    publish("command_line.md", text, not quick)
 
 
 if __name__ == "__main__":

@@ -3,30 +3,23 @@
 python -m problems.benchmarks.coverage [--quick] [--seeds=N] [--jobs=N]
 """
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import numpy as np
 import pandas as pd
 from scipy.stats import t as student_t
 
 import phsi_opt as ph
-from phsi_opt.sweeps.sweep import sweep
 from problems.benchmarks.oscillator import (
     TRUTH,
     Disturbance,
     Layout,
     cubic_coefficient,
     model,
-    records,
+    record,
 )
-from problems.tools import provenance
 from problems.tools.command_line import flag, option
 from problems.tools.intervals import share
-from problems.tools.pages import render
-from problems.tools.workers import workers
+from problems.tools.pages import publish, render
+from problems.tools.workers import computed
 
 FIRST_SEED = 9000  # development used none above 320
 N_SEEDS = 40
@@ -56,7 +49,7 @@ def fit_rows(batch: Batch) -> list[dict[str, object]]:
     head["runs"] = f"{layout.runs} x {layout.samples}"
     rows: list[dict[str, object]] = []
     try:
-        fit = ph.identify(model(), records([seed], SCENARIOS[scenario], layout)[0])
+        fit = ph.identify(model(), record(seed, SCENARIOS[scenario], layout))
         intervals, errors = fit.intervals(LEVEL), fit.standard_errors
     except ph.PhsiOptError:
         for way in (WHITE, DEFAULT):
@@ -95,7 +88,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
-def main(quick: bool = False) -> str:
+def main(quick: bool) -> None:
     """All fits; the page is written unless ``quick``."""
     n_seeds = 2 if quick else int(option("seeds", str(N_SEEDS)))
     first = 0 if quick else FIRST_SEED
@@ -106,14 +99,9 @@ def main(quick: bool = False) -> str:
             for seed in range(first, first + n_seeds):
                 batches[f"{scenario}, {layout}, {seed}"] = (scenario, layout, seed)
     rows = []
-    with workers(1 if quick else None) as executor:
-        for done in sweep(fit_rows, batches, executor=executor):
-            rows += done.result
-    text = page(pd.DataFrame(rows), first, n_seeds)
-    print(text)
-    if not quick:
-        provenance.write("coverage.md", text)
-    return text
+    for done in computed(fit_rows, batches, jobs=1 if quick else None):
+        rows += done.result
+    publish("coverage.md", page(pd.DataFrame(rows), first, n_seeds), not quick)
 
 
 def page(rows: pd.DataFrame, first: int, n_seeds: int) -> str:

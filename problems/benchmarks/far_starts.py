@@ -34,16 +34,12 @@ class FarStart:
     """A machine, its noisy record, and a model that starts far off.
 
     Attributes:
-        kind: one of `KINDS`.
-        n_periods: of the (slower) free motion in the record.
         truth: true values of the free parameters by name.
         model: the model with its free parameters at the start.
         data: what was measured.
         noise: (n_samples, n_states) noise of the measured states, NaN elsewhere.
     """
 
-    kind: str
-    n_periods: int
     truth: dict[str, float]
     model: ph.PseudoHamiltonian
     data: ph.Measurements
@@ -78,7 +74,7 @@ def draw_case(kind: str, seed: int, off: float = 0.5, lacks: str = NOTHING) -> F
         inputs=["u"] if is_driven else None,
     )
     model = _model(kind, _start_values(rng, truth, off), is_driven)
-    return FarStart(kind, n_periods, truth, model, data, noise)
+    return FarStart(truth, model, data, noise)
 
 
 def _motion(
@@ -87,18 +83,18 @@ def _motion(
     """States (n_samples, n_states) and the input behind them; a pendulum that turns
     over has what drives it halved: it is chaotic, and has no periods to count.
     """
+    share = 1.0
+
+    def present(time: float, x: Array) -> Array:
+        return share * force(time, x) if force else np.zeros_like(x)
+
     while True:
-        given = u if u.shape[1] else None
-        states = ph.simulate(machine, t, start, given, force=force)
+        given = share * u if u.shape[1] else None
+        states = ph.simulate(machine, t, start, given, force=force and present)
         turns_over = "g" in machine.entries and np.max(np.abs(states[:, 0])) > np.pi
         if not turns_over:
-            return states, u
-        u = u / 2
-        force = None if force is None else _halved(force)
-
-
-def _halved(force: Force) -> Force:
-    return lambda time, x: 0.5 * force(time, x)
+            return states, share * u
+        share /= 2
 
 
 def _truth(

@@ -7,11 +7,6 @@ A full discretisation in CasADi, and single shooting with SciPy's `least_squares
 of them, and nothing is written).
 """
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,8 +24,7 @@ import phsi_opt as ph
 from problems.benchmarks.far_starts import KINDS, NOTHING, UNREST, FarStart, draw_case
 from problems.benchmarks.peer_problems import PROBLEMS, Drawn, Problem, drawn
 from problems.tools.command_line import flag
-from problems.tools.pages import render
-from problems.tools.provenance import write
+from problems.tools.pages import publish, render
 
 FIRST_SEED = 5000
 N_STARTS = 3  # of each problem
@@ -314,7 +308,7 @@ def page(far: pd.DataFrame, peers: pd.DataFrame) -> str:
     )
 
 
-def main(quick: bool = False) -> str:
+def main(quick: bool) -> None:
     """All machines and problems; the page is written unless ``quick``."""
     first = 0 if quick else FIRST_SEED
     far, peers = [], []
@@ -326,10 +320,7 @@ def main(quick: bool = False) -> str:
             peers.append(peer_row(problem, seed))
             print("...", *peers[-1].values(), flush=True)
     text = page(pd.DataFrame(far), pd.DataFrame(peers))
-    print(text)
-    if not quick:
-        write("identify.md", text)
-    return text
+    publish("identify.md", text, not quick)
 
 
 if __name__ == "__main__":

@@ -8,28 +8,34 @@ end. Results: results/interrupts.md.
 """
 
 import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
+from subprocess import TimeoutExpired
 
 import numpy as np
-import pandas as pd
 
 import phsi_opt as ph
 from phsi_opt.baselines.descent import Descent
 from phsi_opt.baselines.gradient_descent import gradient_descent
 from phsi_opt.interrupts import is_noted
+from problems.benchmarks import chains
+from problems.benchmarks.stress import (
+    COMMAND,
+    EXAMPLE,
+    MODEL,
+    Row,
+    attempts,
+    begun,
+    record,
+    rmse_of_seed,
+    table,
+)
 from problems.tools import provenance
 from problems.tools.command_line import chosen, option
 from problems.tools.pages import render
@@ -38,39 +44,6 @@ Call = Callable[[], object]
 N_LONG = 20_000  # samples of a long record
 LATEST = 10.0  # s after the start of a call
 PATIENCE = 2.0  # s from Ctrl-C to the end of a call
-EXAMPLE = Path(str(files("phsi_opt.study_file") / "examples" / "spring"))
-MODEL = ph.PseudoHamiltonian(
-    states=["q", "p"],
-    S=ph.canonical(1),
-    H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0, lower=0)),
-    R=ph.damping("p"),
-    F={"p": "u"},
-    inputs=["u"],
-)
-TRUTH = MODEL.with_values({"k": 1.4, "R_p": 0.1})
-
-
-def record(seed: int = 0, n: int = 400, is_complete: bool = False) -> ph.Measurements:
-    """The position (or both states) of a driven spring with dry friction."""
-    rng = np.random.default_rng(seed)
-    t = 0.05 * np.arange(n)
-    phases = np.outer(t, rng.uniform(0.3, 3.0, 6)) + rng.uniform(0, 2 * np.pi, 6)
-    u = np.sin(phases).sum(axis=1, keepdims=True)
-    x = ph.simulate(TRUTH, t, [1.0, 0.0], u, force=_friction)
-    y = x + 0.02 * x.std(axis=0) * rng.normal(size=x.shape)
-    if not is_complete:
-        y[:, 1] = np.nan
-    return ph.Measurements.from_arrays(t, y, u, states=["q", "p"], inputs=["u"])
-
-
-def _friction(t: float, x: np.ndarray) -> np.ndarray:
-    return np.array([0.0, -0.4 * np.tanh(50 * x[1])])
-
-
-def rmse_of_seed(seed: int) -> float:
-    """One case of a sweep."""
-    data = record(seed)
-    return ph.compare(ph.identify(MODEL, data), data).rmse
 
 
 def calls(folder: Path) -> dict[str, Call]:
@@ -90,6 +63,7 @@ def calls(folder: Path) -> dict[str, Call]:
     identify = partial(ph.identify, MODEL, data)
     seeds = {str(seed): seed for seed in range(4)}
     times = np.linspace(0.0, 300.0, 30_001)
+    truth = chains.driven(1, hidden=1)
     known = ph.PHSILoss(), ph.MaximumLikelihood(huber=2.0)
     with_error = ph.MaximumLikelihood(model_error=True)
     descent = Descent(epochs=20)
@@ -99,7 +73,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "identify, Huber": lambda: ph.identify(MODEL, data, known[1]),
         "identify, model error": lambda: ph.identify(MODEL, data, with_error),
         "standard errors": lambda: identify().std_errors,
-        "profile": lambda: ph.profile(fit, data, "k"),
+        "profile": lambda: ph.profile(fit, data, "k1"),
         "bootstrap": lambda: ph.bootstrap(fit, data, 6),
         "compare with bands": lambda: ph.compare(fit, data).bands,
         "diagnose": lambda: ph.diagnose(fit, data),
@@ -108,7 +82,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "report": lambda: _report(study, folder),
         "noise and chart": lambda: (long.noticed, long.chart()),
         "from_csv": lambda: _read(table),
-        "simulate": lambda: ph.simulate(TRUTH, times, [1.0, 0.0], np.sin),
+        "simulate": lambda: ph.simulate(truth, times, [1.0, 0.0], np.sin),
         "gradient descent": lambda: gradient_descent(MODEL, complete, descent),
     }
 
@@ -132,12 +106,18 @@ COMMANDS = {
 }
 
 
-def interrupted(call: Call, delay: float) -> float | None:
+def interrupted(call: Call, delay: float | None) -> float | None:
     """Seconds from Ctrl-C to KeyboardInterrupt; None: the call was done before.
+
+    Without a delay: how long the call takes.
 
     Raises:
         AssertionError: Ctrl-C ended otherwise, or something of it was left.
     """
+    began = time.perf_counter()
+    if delay is None:
+        call()
+        return time.perf_counter() - began
     pressed: list[float] = []
     is_over = threading.Lock()
 
@@ -164,33 +144,19 @@ def interrupted(call: Call, delay: float) -> float | None:
     return seconds
 
 
-def environment() -> dict[str, str]:
-    """That of a process that runs in another folder."""
-    path = f"{provenance.ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
-    return {**os.environ, "PYTHONPATH": path}
-
-
-def interrupted_command(command: list[str], delay: float | None) -> float | None:
-    """The same of a command in a folder of its own; without a delay: how long it takes.
+def interrupted_command(command: Sequence[str], delay: float | None) -> float | None:
+    """The same of a command in a folder of its own.
 
     Raises:
         AssertionError: it ended with another exit code, or left files half written.
     """
     with tempfile.TemporaryDirectory() as place:
         shutil.copytree(EXAMPLE, place, dirs_exist_ok=True)
-        program = [sys.executable, "-m", "phsi_opt.command_line", *command]
         began = time.perf_counter()
-        process = subprocess.Popen(
-            program,
-            cwd=place,
-            env=environment(),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        process = begun([*COMMAND, *command], Path(place))
         try:
             _, said = process.communicate(timeout=delay)
-        except subprocess.TimeoutExpired:
+        except TimeoutExpired:
             began = time.perf_counter()
             process.send_signal(signal.SIGINT)
             _, said = process.communicate()
@@ -203,56 +169,39 @@ def interrupted_command(command: list[str], delay: float | None) -> float | None
         return seconds
 
 
-def main(each: int) -> pd.DataFrame:
+def rows(each: int) -> Iterator[Row]:
     """Interrupt every call so often; one row each."""
     rng = np.random.default_rng(0)
-    rows = []
     with tempfile.TemporaryDirectory() as folder:
-        ways: dict[str, Callable[[float], float | None]] = {}
-        lengths: dict[str, float] = {}
+        ways: dict[str, Callable[[float | None], float | None]] = {}
         for name, call in calls(Path(folder)).items():
             ways[name] = partial(interrupted, call)
-            began = time.perf_counter()
-            if not chosen() or name in chosen():
-                call()
-            lengths[name] = time.perf_counter() - began
-            print(f"{name}: {lengths[name]:.1f} s", flush=True)
         for name, command in COMMANDS.items():
             ways[name] = partial(interrupted_command, command)
-            if not chosen() or name in chosen():
-                lengths[name] = interrupted_command(command, None) or 0.0
         for name in chosen() or ways:
-            ended: list[float] = []
-            n_done = n_wrong = 0
-            while len(ended) + n_wrong < each and n_done < 3 * each:
-                try:
-                    latest = min(lengths[name], LATEST)
-                    seconds = ways[name](rng.uniform(0.0, latest))
-                except AssertionError as error:
-                    print(f"{name}: {error}")
-                    n_wrong += 1
-                    continue
-                n_done += seconds is None
-                ended += [] if seconds is None else [seconds]
-            row = {"call": name, "takes (s)": lengths[name], "interrupts": len(ended)}
-            row["wrong"] = n_wrong
-            row["longest (s)"] = max(ended, default=np.nan)
-            row["late"] = sum(one > PATIENCE for one in ended)
-            print(row, flush=True)
-            rows.append(row)
-    return pd.DataFrame(rows)
+            takes = ways[name](None) or 0.0
+            latest = min(takes, LATEST)
+            seconds, _, n_wrong = attempts(name, ways[name], latest, each, rng)
+            yield {
+                "call": name,
+                "takes (s)": takes,
+                "interrupts": len(seconds),
+                "wrong": n_wrong,
+                "longest (s)": max(seconds, default=np.nan),
+                "late": sum(one > PATIENCE for one in seconds),
+            }
 
 
 if __name__ == "__main__":
-    table = main(int(option("each", "6")))
+    found = table(rows(int(option("each", "6"))))
     if not chosen():
         page = render(
             "benchmarks/pages/interrupts.md",
-            rows=table,
+            rows=found,
             patience=PATIENCE,
-            n=table["interrupts"].sum(),
-            n_late=table["late"].sum(),
-            n_wrong=table["wrong"].sum(),
+            n=found["interrupts"].sum(),
+            n_late=found["late"].sum(),
+            n_wrong=found["wrong"].sum(),
             load=f"{os.getloadavg()[0]:.1f}",
         )
         provenance.write("interrupts.md", page)

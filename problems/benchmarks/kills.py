@@ -8,14 +8,10 @@ was there before must be whole, the same work is done once more and must end wel
 no hidden file may be left. Results: results/kills.md.
 """
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import multiprocessing
+import os
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -29,12 +25,16 @@ import pandas as pd
 
 import phsi_opt as ph
 from phsi_opt.study_file.kept_fits import KeptFits
-from problems.benchmarks.interrupts import (
+from problems.benchmarks.stress import (
+    COMMAND,
     EXAMPLE,
     MODEL,
-    environment,
+    Row,
+    attempts,
+    begun,
     record,
     rmse_of_seed,
+    table,
 )
 from problems.tools import provenance
 from problems.tools.command_line import option
@@ -78,30 +78,18 @@ def forked(work: Check, folder: Path) -> int:
 
 
 def started(arguments: Sequence[str], folder: Path) -> int:
-    """A program in a group of its own."""
-    process = subprocess.Popen(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env=environment(),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    return process.pid
+    """The number of a program that has begun."""
+    return begun(arguments, folder).pid
 
 
 def done(arguments: Sequence[str], folder: Path) -> None:
     """The same program, to its end."""
-    run = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=False,
-    )
-    assert run.returncode == 0, run.stderr[-500:]
+    process = begun(arguments, folder)
+    try:
+        _, said = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()  # if it goes on
+    assert process.returncode == 0, said[-500:]
 
 
 def swept(folder: Path) -> None:
@@ -136,7 +124,6 @@ def add_again(folder: Path) -> None:
     assert "coulomb" in (folder / "study.toml").read_text("utf-8")
 
 
-COMMAND = ("-m", "phsi_opt.command_line")
 SWEEP = ("-m", "problems.benchmarks.kills", "--sweep")
 STUDY = (*COMMAND, "study", "--save", "fit.json", "--report", "report.html")
 
@@ -170,9 +157,8 @@ def works() -> Iterator[Killed]:
 
     def fit_files(folder: Path) -> None:
         study_file_is_whole(folder)
-        for name, check in (("fit.json", ph.Fit.load), ("report.html", None)):
-            if check and (folder / name).exists():
-                check(folder / name)
+        if (folder / "fit.json").exists():
+            ph.Fit.load(folder / "fit.json")
         if (folder / "report.html").exists():
             report_is_whole(folder)
 
@@ -195,8 +181,8 @@ def works() -> Iterator[Killed]:
     )
 
 
-def kill(work: Killed, delay: float) -> tuple[bool, int]:
-    """Kill a work after a time; whether it still ran, and how many parts it left."""
+def kill(work: Killed, delay: float) -> int | None:
+    """How many parts a work left that was killed after a time; None: it was done."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         shutil.copytree(EXAMPLE, folder, dirs_exist_ok=True)
@@ -214,31 +200,22 @@ def kill(work: Killed, delay: float) -> tuple[bool, int]:
         work.check(folder)
         hidden = [one.name for one in folder.rglob(".*")]
         assert not hidden, hidden
-        return not ended, n_parts
+        return None if ended else n_parts
 
 
-def main(each: int) -> pd.DataFrame:
+def rows(each: int) -> Iterator[Row]:
     """Kill every work so often; one row each."""
     rng = np.random.default_rng(0)
-    rows = []
     for work in works():
-        n_killed = n_parts = n_wrong = n_tried = 0
-        while n_killed + n_wrong < each and n_tried < 6 * each:
-            n_tried += 1
-            delay = rng.uniform(0.0, work.longest)
-            try:
-                was_killed, left = kill(work, delay)
-            except Exception as error:
-                print(f"{work.name}, after {delay:.2f} s: {error!r}", flush=True)
-                n_wrong += 1
-                continue
-            n_killed += was_killed
-            n_parts += left
-        row = {"work": work.name, "kills": n_killed, "done before": n_tried - n_killed}
-        row |= {"parts left by kills": n_parts, "lost or not resumed": n_wrong}
-        print(row, flush=True)
-        rows.append(row)
-    return pd.DataFrame(rows)
+        attempt = partial(kill, work)
+        parts, n_late, n_wrong = attempts(work.name, attempt, work.longest, each, rng)
+        yield {
+            "work": work.name,
+            "kills": len(parts),
+            "done before": n_late,
+            "parts left by kills": sum(parts),
+            "lost or not resumed": n_wrong,
+        }
 
 
 if __name__ == "__main__":
@@ -246,6 +223,6 @@ if __name__ == "__main__":
         swept(Path.cwd())
     else:
         multiprocessing.set_start_method("spawn")
-        table = main(int(option("each", "18")))
-        page = render("benchmarks/pages/kills.md", rows=table)
+        found = table(rows(int(option("each", "18"))))
+        page = render("benchmarks/pages/kills.md", rows=found)
         provenance.write("kills.md", page)

@@ -28,10 +28,9 @@ import numpy as np
 import pandas as pd
 from mutmut.stats import status_by_exit_code
 
-from problems.tools import provenance
 from problems.tools.command_line import chosen, flag, option
-from problems.tools.pages import render
-from problems.tools.provenance import ROOT
+from problems.tools.pages import publish, render
+from problems.tools.provenance import ROOT, git
 
 REPORTED_SEED = 1
 ASKED = 0.85  # of the mutants, that tests have to kill
@@ -41,10 +40,7 @@ NOT_REACHED = ("no tests", "skipped")
 
 def copied(folder: Path) -> None:
     """The files under version control, as they are now."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    for name in filter(None, listed.stdout.split("\0")):
+    for name in filter(None, (git("ls-files", "-z") or "").split("\0")):
         source = ROOT / name
         if source.is_file():
             target = folder / name
@@ -185,12 +181,10 @@ def main() -> None:
         for module, statuses in outcomes(folder).items():
             found[module] = {name: statuses[name] for name in names if name in statuses}
         text = page(tally(found), sample, seed)
-        print(text)
         if flag("show"):
             for statuses in found.values():
                 show(folder, statuses)
-    if seed == REPORTED_SEED and not chosen():
-        provenance.write("mutants.md", text)
+    publish("mutants.md", text, seed == REPORTED_SEED and not chosen())
 
 
 if __name__ == "__main__":

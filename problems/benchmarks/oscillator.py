@@ -6,7 +6,7 @@ noise that lasts, or a coarse sensor. Forces stand per mass, in m/s^2.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -88,12 +88,6 @@ class Draw:
         force = disturbance.force_size * _lasting(rng, ends, float(decay))
         middle = (force[:, 1:] + force[:, :-1]) / 2
         return cls(voltage, middle, state, disturbance.noise * noise)
-
-    @classmethod
-    def joined(cls, draws: Sequence["Draw"]) -> "Draw":
-        """The runs of several draws, one after the other."""
-        names = [field.name for field in fields(cls)]
-        return cls(*(np.concatenate([getattr(d, n) for d in draws]) for n in names))
 
 
 def _voltage(rng: np.random.Generator, layout: Layout) -> np.ndarray:
@@ -177,24 +171,21 @@ def model() -> ph.PseudoHamiltonian:
 def records(
     seeds: Sequence[int], disturbance: Disturbance, layout: Layout
 ) -> list[ph.Measurements]:
-    """The measurements of every seed; all are simulated at once."""
-    draw = Draw.joined([Draw.of(seed, disturbance, layout) for seed in seeds])
+    """The measurements of every seed."""
+    return [record(seed, disturbance, layout) for seed in seeds]
+
+
+def record(seed: int, disturbance: Disturbance, layout: Layout) -> ph.Measurements:
+    """The measurements of a seed."""
+    draw = Draw.of(seed, disturbance, layout)
     shown = positions(draw, cubic_coefficient(disturbance.cubic_share)) + draw.noise
     if disturbance.step:
         shown = np.round(shown / disturbance.step) * disturbance.step
-    t = np.arange(layout.samples) * INTERVAL
-    found = []
-    for first in range(0, len(shown), layout.runs):
-        own = slice(first, first + layout.runs)
-        states = [np.column_stack([q, np.full(len(q), np.nan)]) for q in shown[own]]
-        found.append(
-            ph.Measurements.from_arrays(
-                [t] * layout.runs,
-                states,
-                list(draw.voltage[own, :, None]),
-                states=["q", "v"],
-                inputs=["u"],
-                hold="linear",
-            )
-        )
-    return found
+    return ph.Measurements.from_arrays(
+        [np.arange(layout.samples) * INTERVAL] * layout.runs,
+        [np.column_stack([q, np.full(len(q), np.nan)]) for q in shown],
+        list(draw.voltage[:, :, None]),
+        states=["q", "v"],
+        inputs=["u"],
+        hold="linear",
+    )

@@ -55,8 +55,7 @@ def served() -> Iterator[tuple[str, int]]:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     command = [sys.executable, "-m", "phsi_opt.command_line", "page", "--no-show"]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    server = subprocess.Popen([*command, "--port", str(port)], env=environment)
+    server = subprocess.Popen([*command, "--port", str(port)])
     address = f"http://127.0.0.1:{port}"
     try:
         is_up = False

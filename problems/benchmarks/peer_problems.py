@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from problems.benchmarks.chaos import LORENZ_TRUTH, lorenz_model
-from problems.benchmarks.efficiency.cases import duffing_model
+from problems.benchmarks.chaos import LORENZ_TRUTH, lorenz_model, lorenz_rates
+from problems.benchmarks.efficiency.cases import DUFFING, duffing_model
+from problems.tools.simulation import integrated
 
 NOISE = 0.03  # of each channel's standard deviation
 LEAST_OFF = 0.2  # share by which a parameter starts off, at least
@@ -56,17 +56,16 @@ class Problem:
 
     def simulated(self, start: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """States at the samples, (n_samples, n_states); fewer where they explode."""
-        solved = solve_ivp(
-            lambda t, x: self.rates(t, x.tolist(), theta.tolist(), np.cos),
-            (self.t[0], self.t[-1]),
+        values = theta.tolist()
+        return integrated(
+            lambda t, x: self.rates(t, x.tolist(), values, np.cos),
+            self.t,
             start,
             "LSODA",
-            self.t,
             events=_explodes,
             rtol=1e-7,
             atol=1e-8,
         )
-        return solved.y.T
 
 
 @dataclass(frozen=True)
@@ -101,21 +100,16 @@ def drawn(problem: Problem, seed: int) -> Drawn:
     return Drawn(y, sigma, guess)
 
 
-def _duffing(t: Any, x: Sequence[Any], theta: Sequence[Any], cos: Any) -> list[Any]:
+def duffing_rates(
+    t: Any, x: Sequence[Any], theta: Sequence[Any], cos: Any
+) -> list[Any]:
+    """A driven Duffing oscillator."""
     force = -theta[0] * x[0] - theta[1] * x[0] ** 3 - theta[2] * x[1]
     return [x[1], force + 2 * cos(1.3 * t)]
 
 
 def _spring(_t: Any, x: Sequence[Any], theta: Sequence[Any], _cos: Any) -> list[Any]:
     return [x[1], -theta[0] * x[0] - theta[1] * x[1]]
-
-
-def _lorenz(_t: Any, x: Sequence[Any], theta: Sequence[Any], _cos: Any) -> list[Any]:
-    return [
-        theta[0] * (x[1] - x[0]),
-        x[0] * (theta[1] - x[2]) - x[1],
-        x[0] * x[1] - theta[2] * x[2],
-    ]
 
 
 def spring_model() -> ph.PseudoHamiltonian:
@@ -128,13 +122,12 @@ def spring_model() -> ph.PseudoHamiltonian:
     )
 
 
-DUFFING_TRUTH = {"k": 1.7, "a": 0.6, "R_p": 0.15}
 ANYWHERE = ((-1.5, 1.5), (-1.5, 1.5))
 PROBLEMS = (
     Problem(
         "Duffing, q alone, 5 x 201",
-        _duffing,
-        DUFFING_TRUTH,
+        duffing_rates,
+        DUFFING,
         duffing_model,
         ANYWHERE,
         np.linspace(0.0, 20.0, 201),
@@ -153,7 +146,7 @@ PROBLEMS = (
     ),
     Problem(
         "Lorenz, 1 x 501",
-        _lorenz,
+        lorenz_rates,
         LORENZ_TRUTH,
         lorenz_model,
         ((-10.0, 10.0), (-10.0, 10.0), (15.0, 30.0)),
@@ -163,8 +156,8 @@ PROBLEMS = (
     ),
     Problem(
         "Duffing, q alone, 1 x 10 000",
-        _duffing,
-        DUFFING_TRUTH,
+        duffing_rates,
+        DUFFING,
         duffing_model,
         ANYWHERE,
         0.1 * np.arange(10_000),

@@ -5,27 +5,21 @@
 Every size runs in a process of its own, so that its peak memory is its own.
 """
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import resource
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from problems.benchmarks import chains
 from problems.benchmarks.efficiency.cases import DUFFING, DUFFING_START, duffing_model
-from problems.tools import provenance
+from problems.benchmarks.peer_problems import duffing_rates
 from problems.tools.command_line import flag
-from problems.tools.pages import render
+from problems.tools.pages import publish, render
+from problems.tools.simulation import integrated
+from problems.tools.workers import fresh_processes
 
 # What is measured of the oscillator, and numbers of samples.
 SAMPLES = {"qp": (1_000, 10_000, 100_000), "q": (1_000, 10_000, 100_000, 1_000_000)}
@@ -44,18 +38,13 @@ def data(n_samples: int, channels: str) -> ph.Measurements:
     """One record of the driven Duffing oscillator, which forgets its start, so that
     errors of the integration do not grow with its length.
     """
-    k, a, c = DUFFING.values()
     t = STEP * np.arange(n_samples)
+    truth = list(DUFFING.values())
 
-    def rates(at: float, x: np.ndarray) -> tuple[float, float]:
-        q, p = x.tolist()
-        force = -k * q - a * q**3 - c * p
-        return p, force + 2 * np.cos(1.3 * at)
+    def rates(at: float, x: np.ndarray) -> list[float]:
+        return duffing_rates(at, x.tolist(), truth, np.cos)
 
-    solved = solve_ivp(
-        rates, (0.0, t[-1]), DUFFING_START, "LSODA", t, rtol=1e-9, atol=1e-9
-    )
-    x = solved.y.T
+    x = integrated(rates, t, DUFFING_START, "LSODA", rtol=1e-9, atol=1e-9)
     y = x + NOISE * x.std(axis=0) * np.random.default_rng(SEED).normal(size=x.shape)
     if channels == "q":
         y[:, 1] = np.nan
@@ -118,15 +107,14 @@ def growth(rows: Sequence[Row], size: str) -> float:
     return float(np.log(times) / np.log(int(str(after[size])) / int(str(before[size]))))
 
 
-def main(quick: bool = False) -> str:
+def main(quick: bool) -> None:
     """All sizes; the page is written unless ``quick``."""
     samples = {"q": (500, 1000)} if quick else SAMPLES
     sizes = [(n, channels) for channels, all_n in samples.items() for n in all_n]
     masses = (1, 2) if quick else MASSES
     n_samples = 100 if quick else CHAIN_SAMPLES
     diagnosed = ((400, 1),) if quick else DIAGNOSED
-    spawn = get_context("spawn")
-    with ProcessPoolExecutor(1, spawn, max_tasks_per_child=1) as alone:
+    with fresh_processes() as alone:
         of_samples = [alone.submit(by_samples, *size).result() for size in sizes]
         of_states = [alone.submit(by_states, n, n_samples).result() for n in masses]
         diagnoses = [alone.submit(diagnosis, *size).result() for size in diagnosed]
@@ -142,10 +130,7 @@ def main(quick: bool = False) -> str:
         chain_noise=chains.NOISE,
         friction=chains.FRICTION,
     )
-    print(text)
-    if not quick:
-        provenance.write("scaling.md", text)
-    return text
+    publish("scaling.md", text, not quick)
 
 
 if __name__ == "__main__":

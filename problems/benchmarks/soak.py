@@ -7,28 +7,19 @@ Each fit has data of its own; each study adds an effect, is reported and drawn. 
 open files, figures and threads are counted on the way. Results: results/soak.md.
 """
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import gc
+import os
 import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
-import pandas as pd
-
 import phsi_opt as ph
-from problems.benchmarks.interrupts import MODEL, record
+from problems.benchmarks.stress import MODEL, Row, record, table
 from problems.tools import provenance
 from problems.tools.command_line import option
 from problems.tools.pages import render
+from problems.tools.pictures import plt
 
 N_SAMPLES = 150
 EFFECTS = ["coulomb friction", "quadratic drag"]
@@ -68,26 +59,23 @@ def study(seed: int) -> None:
     plt.close("all")
 
 
-def soaked(n_fits: int, n_studies: int) -> Iterator[dict[str, float | str]]:
+def soaked(n_fits: int, n_studies: int) -> Iterator[Row]:
     """The counts after every tenth of the fits, then of the studies."""
     for name, work, n in (("fits", fit, n_fits), ("studies", study, n_studies)):
         for seed in range(n):
             work(seed)
             if (seed + 1) % max(n // 10, 1) == 0:
-                row: dict[str, float | str] = {"after": f"{seed + 1} {name}"}
-                row |= counted()
-                print(row, flush=True)
-                yield row
+                yield {"after": f"{seed + 1} {name}", **counted()}
 
 
 if __name__ == "__main__":
     n_fits, n_studies = int(option("fits", "300")), int(option("studies", "30"))
-    table = pd.DataFrame(soaked(n_fits, n_studies))
+    found = table(soaked(n_fits, n_studies))
     if (n_fits, n_studies) == (300, 30):
-        memory = table["memory (MB)"]
+        memory = found["memory (MB)"]
         page = render(
             "benchmarks/pages/soak.md",
-            rows=table,
+            rows=found,
             n=N_SAMPLES,
             n_fits=n_fits,
             n_studies=n_studies,

@@ -1,7 +1,7 @@
 """ODEBench less one term: does a study find what was taken out of an equation?
 
     python -m problems.league.odebench [NUMBER ...] [--download] [--data=FOLDER]
-        [--noise=0,0.05] [--seed=36000] [--without=NUMBER,NUMBER] [--jobs=N]
+        [--noise=0,0.05] [--seed=36000] [--jobs=N]
 
 The last additive term of the first equation that has two or more is taken out, products
 multiplied out; where no equation has two, the last equation is emptied. Systems that
@@ -28,13 +28,12 @@ import phsi_opt as ph
 from phsi_opt.model.expressions import NUMPY, evaluate, names_of, parse
 from phsi_opt.model.symbolic import is_redundant
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.sweeps.sweep import sweep
 from phsi_opt.writing import write_whole
 from problems.tools import provenance
 from problems.tools.command_line import chosen, flag, option
 from problems.tools.data_paths import folder, is_present
 from problems.tools.pages import render
-from problems.tools.workers import workers
+from problems.tools.workers import computed
 
 Array = np.ndarray
 Result = dict[str, Any]
@@ -242,7 +241,7 @@ def by_sindy(system: System, data: ph.Measurements) -> list[float]:
     return system.r2(partial(simulated, data, settings[0]))
 
 
-def page(results: Sequence[Result], seed: int, without: Sequence[str]) -> str:
+def page(results: Sequence[Result], seed: int) -> str:
     """Counts by noise, by who holds the term and by states; a row per system."""
     frame = pd.DataFrame(results).sort_values(["noise", "number"])
     runs = frame.melt(["noise", "states"], list(WAYS), "way", "r2").explode("r2")
@@ -259,7 +258,6 @@ def page(results: Sequence[Result], seed: int, without: Sequence[str]) -> str:
     return render(
         "league/pages/odebench.md",
         seed=seed,
-        without=list(filter(None, without)),
         ways=WAYS,
         n=frame["number"].nunique(),
         accurate=counted(runs, index=["noise", "run"])[[*WAYS]].reset_index(),
@@ -281,23 +279,20 @@ def main() -> None:
     if not is_present(path):
         return
     seed = int(option("seed", "36000"))
-    without = option("without", "").split(",")
     numbers = list(map(int, chosen())) or list(read(path))
-    numbers = [number for number in numbers if str(number) not in without]
     cases = {}
     for noise, number in product(option("noise", "0,0.05").split(","), numbers):
         key = f"odebench {number}, noise {noise}, seed {seed}"
         cases[key] = (str(path), number, float(noise), seed)
     kept = provenance.RESULTS / "league" / provenance.commit()
     done: dict[str, Result] = {}
-    with workers() as executor:
-        for one in sweep(studied, cases, executor=executor, folder=kept):
-            done[one.key] = one.result
-            print(json.dumps(one.result), flush=True)
+    for one in computed(studied, cases, folder=kept):
+        done[one.key] = one.result
+        print(json.dumps(one.result), flush=True)
     if not chosen():
         results = list(done.values())
         seconds = sum(result["all seconds"] for result in results)
-        provenance.write("odebench.md", page(results, seed, without), seconds=seconds)
+        provenance.write("odebench.md", page(results, seed), seconds=seconds)
 
 
 if __name__ == "__main__":

@@ -19,13 +19,12 @@ import numpy as np
 
 import phsi_opt as ph
 from phsi_opt.simulation.simulate import free_run
-from phsi_opt.sweeps.sweep import sweep
 from problems.league.entries import LEAGUE, Entry
 from problems.tools import provenance
 from problems.tools.command_line import chosen
 from problems.tools.data_paths import folder, is_present
 from problems.tools.pages import render
-from problems.tools.workers import workers
+from problems.tools.workers import computed
 
 Result = dict[str, Any]
 WAYS = ("base model", "found", "physics written down")
@@ -123,11 +122,10 @@ def main() -> None:
             cases |= {f"{name}, {way}": (name, way) for way in WAYS}
     done: dict[str, Result] = {}
     kept = provenance.RESULTS / "league" / provenance.commit()
-    with workers() as executor:
-        for one in sweep(fitted, cases, executor=executor, folder=kept):
-            done[one.key] = one.result
-            print(one.key, one.result["errors"], one.result["added"], flush=True)
-            print(one.result["fit"], flush=True)
+    for one in computed(fitted, cases, folder=kept):
+        done[one.key] = one.result
+        print(one.key, one.result["errors"], one.result["added"], flush=True)
+        print(one.result["fit"], flush=True)
     if not words and len(done) == len(WAYS) * len(LEAGUE):
         results = [done[key] for key in cases]
         seconds = sum(sum(result["seconds"]) for result in results)

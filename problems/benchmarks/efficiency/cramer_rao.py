@@ -23,17 +23,6 @@ ATOL = 1e-13
 TINY = 1e-300  # keeps quotients finite
 
 
-@dataclass(frozen=True)
-class Functions:
-    """NumPy functions of (t, x, theta).
-
-    ``rates_and_slopes`` gives the rates, their slopes in x and those in theta.
-    """
-
-    rates: Callable[..., Any]
-    rates_and_slopes: Callable[..., Any]
-
-
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
     """States (n_trajectories, n_samples, n_states) with their slopes in the starting
@@ -65,8 +54,8 @@ class TrueSystem:
         return dict(zip(self.names, self.values.values(), strict=True))
 
     @cached_property
-    def functions(self) -> Functions:
-        """NumPy functions of (t, x, theta)."""
+    def rates_and_slopes(self) -> Callable[..., Any]:
+        """NumPy function of (t, x, theta): rates, their slopes in x, those in theta."""
         names = (*self.states, *self.values, "t")
         symbols = {name: sympy.Symbol(name, real=True) for name in names}
         rates = sympy.Matrix(
@@ -74,33 +63,16 @@ class TrueSystem:
         )
         x = [symbols[name] for name in self.states]
         theta = [symbols[name] for name in self.values]
-        arguments = (symbols["t"], x, theta)
         everything = [list(rates), list(rates.jacobian(x)), list(rates.jacobian(theta))]
-        return Functions(
-            sympy.lambdify(arguments, list(rates), "numpy", cse=True),
-            sympy.lambdify(arguments, everything, "numpy", cse=True),
-        )
-
-    def solve(self, starts: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """True states (n_trajectories, n_samples, n_states) from ``starts``
-        (n_trajectories, n_states).
-        """
-        m, n = starts.shape
-        theta = list(self.values.values())
-        rates = self.functions.rates
-
-        def f(at: float, flat: np.ndarray) -> np.ndarray:
-            return _filled(rates(at, flat.reshape(n, m), theta), m).ravel()
-
-        flat = _integrated(f, starts.T.ravel(), t)
-        return flat.reshape(len(t), n, m).transpose(2, 0, 1)
+        arguments = (symbols["t"], x, theta)
+        return sympy.lambdify(arguments, everything, "numpy", cse=True)
 
     def sensitivities(self, starts: np.ndarray, t: np.ndarray) -> Sensitivities:
-        """States as `solve`, with their slopes."""
+        """True states from ``starts`` (n_trajectories, n_states), and their slopes."""
         m, n = starts.shape
         theta = list(self.values.values())
         p = len(theta)
-        both = self.functions.rates_and_slopes
+        both = self.rates_and_slopes
         shape = (m, n, 1 + n + p)  # the state, slopes in the start, in the parameters
 
         def f(at: float, flat: np.ndarray) -> np.ndarray:
@@ -115,8 +87,14 @@ class TrueSystem:
         start = np.zeros(shape)
         start[:, :, 0] = starts
         start[:, :, 1 : 1 + n] = np.eye(n)
-        flat = _integrated(f, start.ravel(), t)
-        z = flat.reshape(len(t), *shape).transpose(1, 0, 2, 3)
+        solved = solve_ivp(
+            f, (t[0], t[-1]), start.ravel(), "DOP853", t, rtol=RTOL, atol=ATOL
+        )
+        if not solved.success:
+            raise ArithmeticError(
+                f"the true system cannot be integrated: {solved.message}"
+            )
+        z = solved.y.T.reshape(len(t), *shape).transpose(1, 0, 2, 3)
         return Sensitivities(z[..., 0], z[..., 1 : 1 + n], z[..., 1 + n :])
 
 
@@ -124,17 +102,6 @@ def _filled(rows: Sequence[Any], m: int) -> np.ndarray:
     """Constants repeated for every trajectory: (n_rows, n_trajectories)."""
     full = [np.broadcast_to(row, m) for row in rows]
     return np.array(full, dtype=float).reshape(len(rows), m)
-
-
-def _integrated(
-    f: Callable[[float, np.ndarray], np.ndarray], start: np.ndarray, t: np.ndarray
-) -> np.ndarray:
-    solution = solve_ivp(f, (t[0], t[-1]), start, "DOP853", t, rtol=RTOL, atol=ATOL)
-    if not solution.success:
-        raise ArithmeticError(
-            f"the true system cannot be integrated: {solution.message}"
-        )
-    return solution.y.T
 
 
 def pseudo_hamiltonian(
@@ -163,17 +130,6 @@ def pseudo_hamiltonian(
     return tuple(rows)
 
 
-def information(
-    slopes: Sensitivities, sigma: np.ndarray, measured: np.ndarray | None = None
-) -> np.ndarray:
-    """Fisher information of the parameters with the starting states unknown."""
-    n_theta = slopes.in_theta.shape[-1]
-    total = np.zeros((n_theta, n_theta))
-    for _, left in _told(slopes, sigma, measured):
-        total += left.T @ left
-    return total
-
-
 def _told(
     slopes: Sensitivities, sigma: np.ndarray, measured: np.ndarray | None
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -195,9 +151,12 @@ def covariance_bound(
     slopes: Sensitivities, sigma: np.ndarray, measured: np.ndarray | None = None
 ) -> np.ndarray:
     """Least covariance of an unbiased estimate of the parameters, (n_parameters,
-    n_parameters); see `information`.
+    n_parameters): the inverse of their Fisher information, starting states unknown.
     """
-    matrix = information(slopes, sigma, measured)
+    n_theta = slopes.in_theta.shape[-1]
+    matrix = np.zeros((n_theta, n_theta))
+    for _, left in _told(slopes, sigma, measured):
+        matrix += left.T @ left
     scale = 1 / np.sqrt(np.diag(matrix))
     products = np.outer(scale, scale)
     return np.linalg.inv(matrix * products) * products

@@ -6,12 +6,6 @@ what they promise? And along chaotic motions, where the bound is out of reach?
 --quick: a seed of some experiments; nothing is written.
 """
 
-import os
-
-# Before NumPy is loaded: the processes are the parallelism.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import time
 from collections.abc import Sequence
 
@@ -19,14 +13,12 @@ import numpy as np
 import pandas as pd
 
 import phsi_opt as ph
-from phsi_opt.sweeps.sweep import sweep
 from problems.benchmarks import chaos
 from problems.benchmarks.efficiency.cases import CASES
-from problems.tools import provenance
 from problems.tools.command_line import chosen, flag
 from problems.tools.intervals import HALF_WIDTH, share
-from problems.tools.pages import render
-from problems.tools.workers import workers
+from problems.tools.pages import publish, render
+from problems.tools.workers import computed
 
 LIKELIHOOD, ONE_STEP = "likelihood", "one-step"
 QUICK = ("duffing_qp_0.1", "duffing_q_0.1_gaps", "lorenz_xyz")
@@ -53,16 +45,16 @@ def fits(task: Task) -> pd.DataFrame:
         found = _attempt(system.model(), system.data(seed), own)
         return known.join(found).assign(experiment=name, seed=seed, method=LIKELIHOOD)
     case = CASES[name]
-    sample = case.sample(seed)
+    data, bound, efficient = case.sample(seed)
     known = pd.DataFrame({"truth": case.system().truth})
-    known = known.assign(bound=sample.bound, efficient=sample.efficient)
+    known = known.assign(bound=bound, efficient=efficient)
     losses: dict[str, ph.MaximumLikelihood | ph.PHSILoss]
     losses = {LIKELIHOOD: ph.MaximumLikelihood()}
     if case.one_step:
         losses[ONE_STEP] = ph.PHSILoss()
     parts = []
     for method, loss in losses.items():
-        found = _attempt(case.model(), sample.data, loss)
+        found = _attempt(case.model(), data, loss)
         parts.append(known.join(found).assign(method=method))
     return pd.concat(parts).assign(experiment=name, seed=seed)
 
@@ -159,8 +151,8 @@ def page(found: dict[str, pd.DataFrame]) -> str:
     )
 
 
-def main(names: Sequence[str] = (), quick: bool = False) -> dict[str, pd.DataFrame]:
-    """Rows by experiment; the page of all is written unless ``quick``."""
+def main(names: Sequence[str], quick: bool) -> None:
+    """Some experiments or all; the page of all is written unless ``quick``."""
     sizes = {name: case.n_seeds for name, case in CASES.items()}
     sizes |= dict.fromkeys(chaos.EXPERIMENTS, N_CHAOTIC)
     tasks: dict[str, Task] = {}
@@ -168,17 +160,12 @@ def main(names: Sequence[str] = (), quick: bool = False) -> dict[str, pd.DataFra
         for k in range(1 if quick else sizes[name]):
             tasks[f"{name}, seed {first_seed(name) + k}"] = (name, first_seed(name) + k)
     parts = []
-    with workers(1 if quick else None) as executor:
-        for done in sweep(fits, tasks, executor=executor):
-            parts.append(done.result)
-            print(f"... {done.key}", flush=True)
+    for done in computed(fits, tasks, jobs=1 if quick else None):
+        parts.append(done.result)
+        print(f"... {done.key}", flush=True)
     rows = pd.concat(parts)
     found = {str(n): part for n, part in rows.groupby("experiment", sort=False)}
-    text = page(found)
-    print(text)
-    if not (quick or names):
-        provenance.write("efficiency.md", text)
-    return found
+    publish("efficiency.md", page(found), not (quick or names))
 
 
 if __name__ == "__main__":
