@@ -10,6 +10,7 @@ and viscous damping; the measurements hold something more.
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -27,14 +28,14 @@ COLUMNS: dict[str, Any] = {
     "states": {"q": "position_m", "p": None},
     "trajectory": "run",
 }
-UNITS = {"t": "s", "q": "m", "p": "kg m/s"}
 # Parameters of the last model by the names of the truth.
 TRUE_NAMES = {"coulomb_friction_p": "f", "R_p": "c", "k": "k"}
 
 
-def measurements() -> ph.Measurements:
-    """The file that ships with the project."""
-    return ph.Measurements.from_csv(CSV, **COLUMNS, units=UNITS)
+def measurements(path: Path = CSV) -> ph.Measurements:
+    """The file that ships with the project, or another."""
+    units = {"t": "s", "q": "m", "p": "kg m/s"}
+    return ph.Measurements.from_csv(path, **COLUMNS, units=units)
 
 
 def model() -> ph.PseudoHamiltonian:
@@ -55,17 +56,12 @@ def pictures(study: ph.Study, before: ph.Comparison, diagnosis: ph.Diagnosis) ->
         "demo_2_missing_force": diagnosis.plot,
         "demo_3_after": study.compare().plot,
         "demo_4_history": study.plot_history,
-        "demo_5_friction": partial(_draw_effect, study),
+        "demo_5_friction": partial(study.plot_effect, study.added[0], None),
     }
     for name, plot in plots.items():
         figure, ax = plt.subplots(figsize=(8.0, 3.8), layout="constrained")
         plot(ax)
         save(figure, f"{name}.png", dpi=110)
-
-
-def _draw_effect(study: ph.Study, ax: Axes) -> None:
-    """The force that is missing without the effect that was found."""
-    study.plot_effect(study.added[0], ax=ax)
 
 
 def beside_the_truth(fit: ph.Fit) -> list[str]:
@@ -90,7 +86,8 @@ def main() -> ph.Study:
     train, held_out = data.split(TRAINING_SHARE)
     print(f"{data}\n")
     title = "Damped spring with hidden friction"
-    study = ph.Study(model(), train, held_out, progress=_say, title=title)
+    say = partial(print, "...", flush=True)
+    study = ph.Study(model(), train, held_out, progress=say, title=title)
     before = study.compare()
     print(f"\n{study.fit}\n\n{before}\n")
     diagnosis = study.diagnose()
@@ -105,10 +102,6 @@ def main() -> ph.Study:
     study.report(RESULTS / "demo.html")
     print(f"report and pictures: results/demo*; {time.perf_counter() - began:.0f} s")
     return study
-
-
-def _say(line: str) -> None:
-    print(f"... {line}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""The small files of measurements that the pages in docs/ read.
+"""The small files of measurements that the pages in docs/ read, and those of the
+examples that the page opens at a press.
 
 Each machine is integrated by SciPy, without the package, and has one thing in it that
 the model on its page does not know. Run as a script, it writes the files.
@@ -11,21 +12,21 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.integrate import solve_ivp
 
 from problems.examples import friction_spring
+from problems.tools.simulation import integrated
 
 FOLDER = Path(__file__).parents[2] / "docs" / "data"
+PAGE_FOLDER = Path(__file__).parents[2] / "phsi_opt" / "study_file" / "examples"
 SEED = 1
-RIGHT = {"method": "LSODA", "rtol": 1e-8, "atol": 1e-10}
 
 Rates = Callable[[float, np.ndarray], list[float]]
 
 
 def solved(rates: Rates, t: np.ndarray, start: list[float], step: float) -> np.ndarray:
     """States (n_samples, n_states) at the times; no step is longer than ``step``."""
-    found = solve_ivp(rates, t[[0, -1]], start, t_eval=t, max_step=step, **RIGHT)
-    return np.asarray(found.y.T)
+    options = {"max_step": step, "rtol": 1e-8, "atol": 1e-10}
+    return integrated(rates, t, start, "LSODA", **options)
 
 
 def spring() -> pd.DataFrame:
@@ -86,6 +87,15 @@ def tanks() -> pd.DataFrame:
     return pd.DataFrame(columns).round(4)
 
 
+def winter(
+    rng: np.random.Generator, t: np.ndarray, power: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The temperature outside (degC), and a heater (kW) that is on or off for 3 h."""
+    outside = 4.0 + 3.0 * np.sin(2 * np.pi * (t - 9.0) / 24.0)
+    outside = outside + 0.4 * np.cumsum(rng.normal(size=len(t)))  # the weather
+    return outside, np.repeat(rng.choice([0.0, power], size=len(t) // 6), 6)
+
+
 def house() -> pd.DataFrame:
     """A room with a heater; the page forgets the sun through its window at first.
 
@@ -96,9 +106,7 @@ def house() -> pd.DataFrame:
     a = 0.8  # K m2 per kWh
     rng = np.random.default_rng(SEED)
     t = np.arange(0.0, 144.0, 0.5)  # h, six days
-    outside = 4.0 + 3.0 * np.sin(2 * np.pi * (t - 9.0) / 24.0)
-    outside = outside + 0.4 * np.cumsum(rng.normal(size=len(t)))  # the weather
-    heater = np.repeat(rng.choice([0.0, 1.5], size=len(t) // 6), 6)  # kW, for 3 h
+    outside, heater = winter(rng, t, power=1.5)
     clear_sky = np.maximum(np.sin(2 * np.pi * (t - 6.0) / 24.0), 0.0)
     clouds = np.repeat(rng.uniform(0.2, 1.0, size=len(t) // 4), 4)
     sun = 0.6 * clear_sky * clouds  # kW/m2
@@ -152,6 +160,58 @@ def servo() -> pd.DataFrame:
     return pd.DataFrame(columns).round(5)
 
 
+# --- the examples of the page; the third one is the demonstration (`friction_spring`)
+
+
+def motor() -> pd.DataFrame:
+    """Three runs of a motor under steps of voltage; its dry friction is hidden.
+
+    dw/dt = (K u - b w - f sign(w)) / J, J = 0.05 kg m^2
+    """
+    gain = 2.4  # K/J, rad/s^2 per volt: K = 0.12 N m/V
+    drag = 1.5  # b/J, 1/s: b = 0.075 N m s/rad
+    friction = 3.0  # f/J, rad/s^2: f = 0.15 N m
+    rng = np.random.default_rng(SEED)
+    t = np.arange(0.0, 8.0, 0.04)  # s
+    parts = []
+    for number in range(1, 4):
+        u = np.repeat(rng.uniform(-12.0, 12.0, size=8), 25)  # V, a step each second
+
+        def rates(now: float, x: np.ndarray, u: np.ndarray = u) -> list[float]:
+            push = gain * u[min(int(now / 0.04 + 1e-9), len(u) - 1)]
+            return [push - drag * x[0] - friction * np.tanh(x[0] / 0.01)]
+
+        w = solved(rates, t, [0.0], step=0.01)[:, 0] + 0.2 * rng.normal(size=len(t))
+        columns = {"run": f"run {number}", "t_s": t, "voltage_V": u, "speed_rad_s": w}
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True).round(3)
+
+
+def heated_room() -> pd.DataFrame:
+    """Six days of a heated room; that its walls store heat is hidden.
+
+    dT/dt = (Ta - T)/tau + g P + (W - T)/wall, dW/dt = (T - W)/storage
+    """
+    tau = 25.0  # h
+    g = 1.2  # K per kWh
+    wall = 4.0  # h
+    storage = 15.0  # h
+    rng = np.random.default_rng(SEED)
+    t = np.arange(0.0, 144.0, 0.5)  # h
+    outside, heater = winter(rng, t, power=2.5)
+
+    def rates(now: float, x: np.ndarray) -> list[float]:
+        air = np.interp(now, t, outside)
+        power = heater[min(int(now / 0.5 + 1e-9), len(heater) - 1)]
+        room = (air - x[0]) / tau + g * power + (x[1] - x[0]) / wall
+        return [room, (x[0] - x[1]) / storage]
+
+    inside = solved(rates, t, [19.0, 18.0], step=0.1)[:, 0]
+    inside = inside + 0.05 * rng.normal(size=len(t))
+    columns = {"t_h": t, "room_C": inside, "outside_C": outside, "heater_kW": heater}
+    return pd.DataFrame(columns).round(3)
+
+
 FILES = {
     "spring.csv": spring,
     "cart.csv": cart,
@@ -159,10 +219,11 @@ FILES = {
     "house.csv": house,
     "servo.csv": servo,
 }
+PAGE_FILES = {"motor/motor.csv": motor, "house/house.csv": heated_room}
 
 
 if __name__ == "__main__":
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    for name, table in FILES.items():
-        table().to_csv(FOLDER / name, index=False)
-        print(f"wrote {name}")
+    for folder, files in ((FOLDER, FILES), (PAGE_FOLDER, PAGE_FILES)):
+        for name, table in files.items():
+            table().to_csv(folder / name, index=False)
+            print(f"wrote {name}")

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.integrate import solve_ivp
+
+from problems.tools.simulation import integrated
 
 TRUTH = {"k": 40.0, "m": 2.5, "c": 0.8, "f": 2.0}  # N/m, kg, N s/m, N
 STARTS = [
@@ -46,22 +47,16 @@ def simulated(
         force = -TRUTH["k"] * x[0] - TRUTH["c"] * v - friction * np.tanh(v / SHARPNESS)
         return [v, force]
 
-    options = {"method": "LSODA", "rtol": 1e-8, "atol": 1e-10, "max_step": 0.01}
-    runs = []
-    for start in starts:
-        solved = solve_ivp(rates, TIMES[[0, -1]], start, t_eval=TIMES, **options)
-        runs.append(solved.y.T)
-    return runs
+    options = {"rtol": 1e-8, "atol": 1e-10, "max_step": 0.01}
+    return [integrated(rates, TIMES, start, "LSODA", **options) for start in starts]
 
 
-def table(
-    seed: int, friction: float = TRUTH["f"], noise: float = NOISE
-) -> pd.DataFrame:
+def table(seed: int, friction: float = TRUTH["f"]) -> pd.DataFrame:
     """The measurements as a table: run, t_s, position_m."""
     rng = np.random.default_rng(seed)
     runs = simulated(friction)
     positions = [x[:, 0] for x in runs]
-    deviation = noise * np.ptp(np.concatenate(positions))
+    deviation = NOISE * np.ptp(np.concatenate(positions))
     parts = []
     for number, q in enumerate(positions, start=1):
         measured = q + deviation * rng.normal(size=len(q))

@@ -95,15 +95,9 @@ def box(first: int, end: int) -> ph.Measurements:
 def box_physics() -> ph.PseudoHamiltonian:
     """An oscillator with a spring of order three, an offset and linear loss."""
     a, b = ph.Parameter(0.0), ph.Parameter(0.0)
-    k = positive(1.9e5)
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        R=ph.damping("p"),
-        H=ph.formula("k*q**2/2 + a*q**3/3 + b*q**4/4 + p**2/2", k=k, a=a, b=b),
-        F={"p": ph.formula("c*u + d", c=ph.Parameter(1e5), d=ph.Parameter(0.0))},
-    )
+    text = "k*q**2/2 + a*q**3/3 + b*q**4/4 + p**2/2"
+    force = ph.formula("c*u + d", c=ph.Parameter(1e5), d=ph.Parameter(0.0))
+    return machines.oscillator(ph.formula(text, k=positive(1.9e5), a=a, b=b), force)
 
 
 # --- the cascaded tanks

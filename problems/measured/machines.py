@@ -12,6 +12,7 @@ from scipy.io import loadmat
 from scipy.signal import resample_poly
 
 import phsi_opt as ph
+from phsi_opt.model.terms import Dictionary
 from problems.tools.data_paths import folder
 
 Array = np.ndarray
@@ -33,6 +34,22 @@ def first_two(n: int, data: ph.Measurements) -> tuple[ph.Measurements, ph.Measur
     return data.between(None, t[n - 1]), data.between(t[n], t[2 * n - 1])
 
 
+def oscillator(
+    H: Dictionary, F: Dictionary, R: Dictionary | None = None
+) -> ph.PseudoHamiltonian:
+    """A position q and a momentum p that an input u drives; R: viscous damping if it is
+    not given.
+    """
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=H,
+        R={"p": R} if R else ph.damping("p"),
+        F={"p": F},
+    )
+
+
 class Record(NamedTuple):
     """Times, positions and forces of the same samples, each (n_samples,)."""
 
@@ -49,14 +66,13 @@ class Record(NamedTuple):
         kept = slice(0, n * thin + 1, thin)
         return Record(self.t[kept], self.q[kept], np.append(u, u[-1]))
 
-    def in_windows(self, size: int | None, units: dict[str, str]) -> ph.Measurements:
-        """Windows of ``size`` steps that share their ends; None: one trajectory.
+    def in_windows(self, size: int, units: dict[str, str]) -> ph.Measurements:
+        """Windows of ``size`` steps that share their ends.
 
         The position is the state q; nobody measured its momentum p. A last window that
         is shorter than half of the others is left out.
         """
         n = len(self.t) - 1
-        size = size or n
         pieces = [slice(i, i + size + 1) for i in range(0, n - size // 2, size)]
         x = with_unmeasured(self.q)
         return ph.Measurements.from_arrays(
@@ -73,13 +89,11 @@ class Record(NamedTuple):
 # --- the EMPS linear drive
 
 EMPS_FILES = {"fit": "DATA_EMPS.mat", "test": "DATA_EMPS_PULSES.mat"}
-EMPS_WINDOW = 100  # thinned samples: 1 s
 # m/s, where dry friction turns over; the drive moves at 0.04 to 0.13 m/s
 EMPS_TURNOVER = 2e-3
 # The values that come with the data of the benchmark.
 EMPS_PUBLISHED = {"M": 95.109, "Fv": 203.503, "Fc": 20.394, "offset": -3.165}
-EMPS_START = {"M": 80.0, "Fv": 100.0, "Fc": 5.0, "offset": 0.0}
-EMPS_UNITS = {"M": "kg", "Fv": "N s/m", "Fc": "N", "offset": "N"}
+EMPS_MASS = positive(80.0, "kg", 1)
 
 
 def emps_record(name: str) -> Record:
@@ -89,52 +103,33 @@ def emps_record(name: str) -> Record:
     return Record(content["t"].ravel(), content["qm"].ravel(), force)
 
 
-def emps(record: str = "fit", window: int | None = EMPS_WINDOW) -> ph.Measurements:
-    """A record, thinned, as the position q (m) and the motor force u (N).
+def emps(record: str = "fit") -> ph.Measurements:
+    """A record, thinned, as the position q (m) and the motor force u (N), in windows of
+    1 s.
 
     The drive ran in closed loop, but the force is taken as a free input, and a position
-    without a spring drifts: over the whole record (``window`` None) every small error
-    of the model is integrated twice, far above the encoder's noise.
+    without a spring drifts: over the whole record every small error of the model is
+    integrated twice, far above the encoder's noise.
     """
-    return (
-        emps_record(record)
-        .thinned(10)
-        .in_windows(window, {"q": "m", "u": "N", "t": "s"})
-    )
+    units = {"q": "m", "u": "N", "t": "s"}
+    return emps_record(record).thinned(10).in_windows(100, units)
 
 
-def emps_model(values: dict[str, float] = EMPS_START) -> ph.PseudoHamiltonian:
-    """M dv/dt = u - Fv v - Fc sign(v) - offset, starting from ``values``."""
-    parameters = {}
-    for name, lower in (("M", 1), ("Fv", 0), ("Fc", 0), ("offset", -np.inf)):
-        unit = EMPS_UNITS[name]
-        parameters[name] = ph.Parameter(values[name], lower=lower, unit=unit)
+def emps_model() -> ph.PseudoHamiltonian:
+    """M dv/dt = u - Fv v - Fc sign(v) - offset."""
     friction = ph.formula(
         "Fv + Fc*(dH_dp**4 + v0**4)**(-0.25)",
-        Fv=parameters["Fv"],
-        Fc=parameters["Fc"],
+        Fv=positive(100.0, "N s/m"),
+        Fc=positive(5.0, "N"),
         v0=EMPS_TURNOVER,
     )
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("p**2/(2*M)", M=parameters["M"]),
-        R={"p": friction},
-        F={"p": ph.formula("u - offset", offset=parameters["offset"])},
-    )
+    force = ph.formula("u - offset", offset=ph.Parameter(0.0, unit="N"))
+    return oscillator(ph.formula("p**2/(2*M)", M=EMPS_MASS), force, friction)
 
 
 def emps_base() -> ph.PseudoHamiltonian:
     """A mass with viscous friction, driven by the force."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        R=ph.damping("p"),
-        F={"p": ph.formula("u")},
-        H=ph.formula("p**2/(2*M)", M=positive(EMPS_START["M"], "kg", 1)),
-    )
+    return oscillator(ph.formula("p**2/(2*M)", M=EMPS_MASS), ph.formula("u"))
 
 
 # --- the quarter-drone arm
@@ -145,39 +140,28 @@ DRONE_FILES = {
     "multisine": "sinal4_multiseno",
 }
 FLYING = (20.0, 80.0)  # s
-DRONE_THIN = 5  # samples of 0.01 s
-DRONE_WINDOW = 5.0  # s
 
 
-def drone(
-    record: str = "steps", window: float = DRONE_WINDOW, thin: int = DRONE_THIN
-) -> ph.Measurements:
-    """Angle q (rad) and command to the motor u (%), 100 Hz, in a closed loop, where the
-    arm flies; thinned, the command to its mean in between.
+def drone(record: str) -> ph.Measurements:
+    """Angle q (rad) and command to the motor u (%) in a closed loop, where the arm
+    flies; thinned from 100 to 20 Hz, the command to its mean in between; in windows of
+    5 s.
     """
     path = folder("quarter_drone") / f"{DRONE_FILES[record]}_malha_fechada.csv"
     table = np.genfromtxt(path, delimiter=",", names=True)
     t = table["Tempo_s"]
     flying = (t >= FLYING[0] - 1e-6) & (t <= FLYING[1] + 1e-6)
     angle = np.deg2rad(table["Saida_y"][flying])
-    thinned = Record(t[flying], angle, table["Controle_u"][flying]).thinned(thin)
-    size = round(window / (thinned.t[1] - thinned.t[0]))
-    units = {"q": "rad", "p": "rad/s", "u": "%", "t": "s"}
-    return thinned.in_windows(size, units)
+    thinned = Record(t[flying], angle, table["Controle_u"][flying]).thinned(5)
+    return thinned.in_windows(100, {"q": "rad", "p": "rad/s", "u": "%", "t": "s"})
 
 
 def drone_model() -> ph.PseudoHamiltonian:
     """dp/dt = -g sin(q) - d p + b u, scaled to a unit inertia: gravity, damping, a
     thrust in proportion to the command.
     """
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        R=ph.damping("p"),
-        H=ph.formula("p**2/2 - g*cos(q)", g=positive(10.0)),
-        F={"p": ph.formula("b*u", b=ph.Parameter(0.2))},
-    )
+    energy = ph.formula("p**2/2 - g*cos(q)", g=positive(10.0))
+    return oscillator(energy, ph.formula("b*u", b=ph.Parameter(0.2)))
 
 
 # --- the ball and hoop drive
@@ -296,24 +280,21 @@ def drives_model() -> ph.PseudoHamiltonian:
 # --- the pendulum with a motor
 
 PENDULUM_FILE = "data_measured.csv"
-# rad/s, where dry friction turns over; atan(100 v) does at some 0.01 rad/s
-PENDULUM_TURNOVER = 0.02
 
 
-def pendulum(has_velocity: bool = True) -> ph.Measurements:
-    """Angle q (rad, 0 hangs down), velocity v (rad/s) and motor torque u (N m) at 300
-    Hz, 3.9 s, all noisy; the torque is a straight line between samples.
+def pendulum() -> ph.Measurements:
+    """Angle q (rad, 0 hangs down) and motor torque u (N m) at 300 Hz, 3.9 s, noisy; the
+    torque is a straight line between samples.
 
-    The velocity is worked out from the angle: what both have beside a mean of 21
-    samples agrees (a correlation of 0.94 with the angle's central differences). Without
-    it nothing is counted twice.
+    The file has a velocity too, which is worked out from the angle: what both have
+    beside a mean of 21 samples agrees (a correlation of 0.94 with the angle's central
+    differences). Without it nothing is counted twice.
     """
     path = folder("torque_pendulum") / PENDULUM_FILE
     table = np.genfromtxt(path, delimiter=",", names=True)
-    velocity = table["velocity"] if has_velocity else np.full(len(table), np.nan)
     return ph.Measurements.from_arrays(
         table["time"],
-        np.column_stack([table["position"], velocity]),
+        with_unmeasured(table["position"]),
         table["torque"],
         states=["q", "v"],
         inputs=["u"],
@@ -321,9 +302,8 @@ def pendulum(has_velocity: bool = True) -> ph.Measurements:
     )
 
 
-def pendulum_model(is_base: bool = False) -> ph.PseudoHamiltonian:
-    """J dv/dt = u + offset - G sin(q) - viscous v - dry sign(v); the base has viscous
-    friction alone.
+def pendulum_model() -> ph.PseudoHamiltonian:
+    """J dv/dt = u - G sin(q) - viscous v.
 
     Published by least squares: dry friction 0.184 N m times atan(100 v), viscous
     friction 0.047 N m s/rad, torque offset -0.076 N m, of which the set does not tell
@@ -332,26 +312,13 @@ def pendulum_model(is_base: bool = False) -> ph.PseudoHamiltonian:
     """
     inertia = positive(0.2, "kg m^2", 1e-3)
     viscous = positive(0.05, "N m s/rad")
-    if is_base:
-        friction = ph.formula("viscous/J", viscous=viscous, J=inertia)
-        torque = ph.formula("u/J", J=inertia)
-    else:
-        friction = ph.formula(
-            "(viscous + dry*(v**4 + v0**4)**(-0.25))/J",
-            viscous=viscous,
-            dry=positive(0.1, "N m"),
-            v0=PENDULUM_TURNOVER,
-            J=inertia,
-        )
-        offset = ph.Parameter(0.0, unit="N m")
-        torque = ph.formula("(u + offset)/J", offset=offset, J=inertia)
     return ph.PseudoHamiltonian(
         states=["q", "v"],
         inputs=["u"],
         S=ph.canonical(1),
         H=ph.formula("v**2/2 - G/J*cos(q)", G=positive(3.0, "N m"), J=inertia),
-        R={"v": friction},
-        F={"v": torque},
+        R={"v": ph.formula("viscous/J", viscous=viscous, J=inertia)},
+        F={"v": ph.formula("u/J", J=inertia)},
     )
 
 
@@ -391,11 +358,6 @@ def box(first: int, end: int) -> ph.Measurements:
 
 def box_model() -> ph.PseudoHamiltonian:
     """A unit mass on a linear spring with linear loss; it starts near 70 Hz."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        R=ph.damping("p"),
-        H=ph.formula("k*q**2/2 + p**2/2", k=positive(1.9e5, "1/s^2")),
-        F={"p": ph.formula("b*u", b=ph.Parameter(1e5, unit="1/s^2"))},
-    )
+    energy = ph.formula("k*q**2/2 + p**2/2", k=positive(1.9e5, "1/s^2"))
+    gain = ph.Parameter(1e5, unit="1/s^2")
+    return oscillator(energy, ph.formula("b*u", b=gain))

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import phsi_opt as ph
 from problems.measured import machines, storages, vibrations
@@ -140,8 +139,8 @@ SETS = {
     "motor pendulum": Set(
         "torque_pendulum",
         "a pendulum with a motor, its angle measured; viscous friction",
-        partial(machines.pendulum_model, is_base=True),
-        lambda: machines.pendulum(has_velocity=False).split(0.5),
+        machines.pendulum_model,
+        lambda: machines.pendulum().split(0.5),
         "dry friction 0.29 N m, offset 0.076 N m, over the inertia 0.15 kg m^2; the "
         "velocity in the file is worked out from the angle and left out",
         ("coulomb friction on v", "constant force on v"),
@@ -149,8 +148,8 @@ SETS = {
     "house 1": Set(
         "building",
         "a heated house; one heat capacity",
-        partial(storages.house_model, 1),
-        lambda: storages.house(1, 1).split(0.5),
+        storages.house_model,
+        lambda: storages.house().split(0.5),
         "a second storage (the envelope)",
         ("second heat storage on Ti",),
     ),
@@ -165,8 +164,8 @@ SETS = {
     "battery cell": Set(
         "battery_cell",
         "a cell with one resistor and capacitor",
-        partial(storages.cell_model, 1),
-        lambda: storages.cell(1).split(0.5),
+        storages.cell_model,
+        lambda: storages.cell().split(0.5),
         "a second pair",
         ("second charge storage on v",),
     ),

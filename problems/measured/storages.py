@@ -97,59 +97,47 @@ def heaters_model() -> ph.FirstOrder:
     return ph.FirstOrder(HEATERS_STATES, rates, inputs=["Q1", "Q2"])
 
 
-# --- two heated houses
+# --- a heated house
 
 HOUSE_INPUTS = ("Ta", "Ps", "Q")
 
 
-def house(number: int, n_storages: int = 2) -> ph.Measurements:
+def house() -> ph.Measurements:
     """Indoor temperature Ti and outdoor temperature Ta (degC), solar gain Ps and heat
-    delivered Q, every 15 min, six and ten weeks of a winter.
+    delivered Q, every 15 min, six weeks of a winter.
 
-    Time is in hours and heat in the unit of Q, which the set does not tell. The
-    envelope Te is a state that nobody measured.
+    Time is in hours and heat in the unit of Q, which the set does not tell.
     """
-    table = pd.read_csv(folder("building") / f"blg_{number}.csv", sep=";")
+    table = pd.read_csv(folder("building") / "blg_1.csv", sep=";")
     return ph.Measurements.from_arrays(
         0.25 * np.arange(len(table)),
-        with_unmeasured(table["yTi"].to_numpy(), n=n_storages - 1),
+        table[["yTi"]].to_numpy(),
         table[["Ta", "Ps", "Thm"]].to_numpy(),
-        states=["Ti", "Te"][:n_storages],
+        states=["Ti"],
         inputs=HOUSE_INPUTS,
         hold="zero",
         units={"Ti": "degC", "Ta": "degC", "t": "h"},
     )
 
 
-def house_model(n_storages: int = 2) -> ph.FirstOrder:
-    """Air, furniture and walls as one heat capacity, or the air and the envelope.
+def house_model() -> ph.FirstOrder:
+    """Air, furniture and walls as one heat capacity.
 
     C dTi/dt = (Ta - Ti)/R + A Ps + Q
-
-    Ci dTi/dt = (Te - Ti)/Ri + A Ps + Q
-    Ce dTe/dt = (Ti - Te)/Ri + (Ta - Te)/Re
     """
-
-    def free(start: float, unit: str = "") -> ph.Parameter:
-        return positive(start, unit, 1e-3)
-
-    if n_storages == 1:
-        one = {"C": free(40.0), "R": free(1.0, "degC/Q"), "A": free(10.0)}
-        rates = {"Ti": ph.formula("((Ta - Ti)/R + A*Ps + Q)/C", **one)}
-        return ph.FirstOrder(["Ti"], rates, inputs=HOUSE_INPUTS)
-    inner = free(0.3, "degC/Q")
-    indoor = {"Ci": free(10.0), "Ri": inner, "A": free(10.0)}
-    envelope = {"Ce": free(60.0), "Ri": inner, "Re": free(0.7, "degC/Q")}
-    rates = {
-        "Ti": ph.formula("((Te - Ti)/Ri + A*Ps + Q)/Ci", **indoor),
-        "Te": ph.formula("((Ti - Te)/Ri + (Ta - Te)/Re)/Ce", **envelope),
+    parameters = {
+        "C": positive(40.0, lower=1e-3),
+        "R": positive(1.0, "degC/Q", 1e-3),
+        "A": positive(10.0, lower=1e-3),
     }
-    return ph.FirstOrder(["Ti", "Te"], rates, inputs=HOUSE_INPUTS)
+    rates = {"Ti": ph.formula("((Ta - Ti)/R + A*Ps + Q)/C", **parameters)}
+    return ph.FirstOrder(["Ti"], rates, inputs=HOUSE_INPUTS)
 
 
 # --- a battery cell
 
 CELL_FILE = "hppc_25c.csv"
+CELL_STATES = ("v", "v1")
 PULSE = 6  # the number of the step by which a cycle begins
 DISCHARGE = 9
 CYCLES = slice(1, 7)  # of ten; the voltage at rest bends most above and below
@@ -159,7 +147,7 @@ RAMP = 1e-3  # s, over which a jump of the current is drawn
 JUMP = 1.0  # A, from which a change between two samples is a jump
 
 
-def cell(n_pairs: int = 2) -> ph.Measurements:
+def cell() -> ph.Measurements:
     """Current I (A, positive while charging) and voltage (V) of one cell, in cycles at
     falling charge: a pulse of -30 A, a short rest, a pulse of 22.5 A, 18 min of
     discharge at 10 A, an hour of rest.
@@ -185,38 +173,31 @@ def cell(n_pairs: int = 2) -> ph.Measurements:
         after = with_unmeasured(samples[before, 0] + RAMP, n=2)
         after[:, 2] = samples[before + 1, 2]
         cycles.append(np.insert(samples, before + 1, after, axis=0))
-    states = ["v", *(f"v{i}" for i in range(1, n_pairs + 1))]
     return ph.Measurements.from_arrays(
         [nodes[:, 0] for nodes in cycles],
-        [with_unmeasured(nodes[:, 1], n=n_pairs) for nodes in cycles],
+        [with_unmeasured(nodes[:, 1]) for nodes in cycles],
         [nodes[:, 2] for nodes in cycles],
-        states=states,
+        states=CELL_STATES,
         inputs=["I"],
-        units=dict.fromkeys(states, "V") | {"I": "A", "t": "s"},
+        units=dict.fromkeys(CELL_STATES, "V") | {"I": "A", "t": "s"},
     )
 
 
-def cell_model(n_pairs: int = 2) -> ph.FirstOrder:
-    """An inner resistance R0, and one or two pairs of a resistor and a capacitor.
+def cell_model() -> ph.FirstOrder:
+    """An inner resistance R0, and one pair of a resistor and a capacitor.
 
         dv1/dt = (R1 I - v1)/tau1,   dv/dt = I/C + dv1/dt,   shown: v + R0 I
 
     v is the voltage without what falls off at the inner resistance, C stands for the
     slope of the voltage at rest in the charge.
     """
-    starts = ((0.002, 30.0), (0.003, 600.0))  # Ohm, s
-    rates = {}
-    slow = ""
-    parameters: dict[str, ph.Parameter] = {}
-    for i, (resistance, constant) in enumerate(starts[:n_pairs], start=1):
-        tau = ph.Parameter(constant, lower=0.1, upper=1e4, unit="s")
-        own = {f"R{i}": positive(resistance, "Ohm"), f"tau{i}": tau}
-        rate = f"(R{i}*I - v{i})/tau{i}"
-        rates[f"v{i}"] = ph.formula(rate, **own)
-        slow += f" + {rate}"
-        parameters |= own
+    tau = ph.Parameter(30.0, lower=0.1, upper=1e4, unit="s")
+    pair = {"R1": positive(0.002, "Ohm"), "tau1": tau}
+    rate = "(R1*I - v1)/tau1"
     capacity = positive(3e4, "A s/V", 100)
-    rates["v"] = ph.formula(f"I/C{slow}", C=capacity, **parameters)
+    rates = {
+        "v": ph.formula(f"I/C + {rate}", C=capacity, **pair),
+        "v1": ph.formula(rate, **pair),
+    }
     shown = ph.formula("R0*I", R0=positive(0.002, "Ohm"))
-    states = ["v", *(f"v{i}" for i in range(1, n_pairs + 1))]
-    return ph.FirstOrder(states, rates, inputs=["I"], sensor={"v": shown})
+    return ph.FirstOrder(CELL_STATES, rates, inputs=["I"], sensor={"v": shown})

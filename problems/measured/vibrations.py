@@ -9,7 +9,7 @@ import numpy as np
 from scipy.io import loadmat
 
 import phsi_opt as ph
-from problems.measured.machines import Array, positive
+from problems.measured.machines import Array, oscillator, positive
 from problems.tools.data_paths import folder
 
 # --- Bouc and Wen's oscillator
@@ -39,14 +39,8 @@ def _only_array(name: str) -> Array:
 
 def bouc_wen_base() -> ph.PseudoHamiltonian:
     """A mass on a linear spring with linear loss."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        R=ph.damping("p"),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=positive(5e4), m=positive(2.0)),
-        F={"p": ph.formula("u")},
-    )
+    energy = ph.formula("k*q**2/2 + p**2/(2*m)", k=positive(5e4), m=positive(2.0))
+    return oscillator(energy, ph.formula("u"))
 
 
 # --- F-16: a wing with a payload
@@ -121,11 +115,5 @@ def resonance(levels: Sequence[int]) -> ph.Measurements:
 
 def resonance_model() -> ph.PseudoHamiltonian:
     """A mode of vibration of unit mass: linear stiffness and damping."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        R=ph.damping("p"),
-        H=ph.formula("k*q**2/2 + p**2/2", k=positive(2070.0)),
-        F={"p": ph.formula("b*u", b=ph.Parameter(0.003))},
-    )
+    energy = ph.formula("k*q**2/2 + p**2/2", k=positive(2070.0))
+    return oscillator(energy, ph.formula("b*u", b=ph.Parameter(0.003)))
