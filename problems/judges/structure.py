@@ -140,13 +140,13 @@ def main() -> None:
     first = int(option("first", str(FIRST)))
     n_cases = int(option("cases", str(N_CASES)))
     records = []
-    for name, draw in MACHINES.items():
+    for machine, draw in MACHINES.items():
         for seed in range(first, first + n_cases):
             rng = np.random.default_rng(seed)
             case = draw(rng)
-            for noise in (0.0, NOISE):
-                record = {"machine": name, "seed": seed, "noise": noise}
-                records.append(record | examined(case, noise, rng))
+            for sigma in (0.0, NOISE):
+                record = {"machine": machine, "seed": seed, "noise": sigma}
+                records.append(record | examined(case, sigma, rng))
                 print(records[-1], flush=True)
     rows = []
     for (name, noise), of_one in pd.DataFrame(records).groupby(["machine", "noise"]):
