@@ -93,6 +93,15 @@ def test_no_size_is_told_that_is_a_million_times_the_motion(drag, name) -> None:
     assert np.isnan([found.coefficient, found.std_error]).all()
 
 
+def test_a_wave_has_two_periods_within_the_record(drag) -> None:
+    fit, data, screen = drag
+    trial = screen.trial(effect_named(fit.model, "harmonic force", "p"))
+    span = max(float(np.ptp(run.t)) for run in data)
+    lowest = trial.frequencies[0]
+    assert 2 * 2 * np.pi <= lowest * span < 2.5 * 2 * np.pi
+    assert trial.model.entries[trial.frequency].parameter.lower == lowest
+
+
 def driven(mass: ph.Parameter) -> Model:
     """A driven mass with viscous friction."""
     return replace(canonical("p**2/(2*M)", "0", "u", M=mass), R=ph.damping("p"))
