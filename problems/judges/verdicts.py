@@ -27,7 +27,10 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 
+import numpy as np
+
 import phsi_opt as ph
+from phsi_opt.criteria import DECISIVE_EVIDENCE
 from problems.battery.ask import (
     CLASS,
     NAME,
@@ -53,6 +56,7 @@ N_CASES = 200
 NO_ANSWER, NOT_DRAWN = "failed", "not drawn"
 # What silence has to say in these rows of hidden effects.
 SILENCE = {"nothing": ph.Verdict.NOTHING_MISSING, "outside": ph.Verdict.UNEXPLAINED}
+ODDS = 3.0  # a factor that no verdict should hang on
 MOVED = 0.1  # standard errors by which a size has moved
 
 Records = Mapping[str, Record]
@@ -98,12 +102,14 @@ def told(names: set[str], silence: str, diagnosis: ph.Diagnosis) -> Record:
     for finding in diagnosis.findings:
         sizes[str(finding.effects[0])] = [finding.coefficient, finding.std_error]
     table = diagnosis.candidates
+    weighed = [one.log_evidence for one in diagnosis.ranking if one.was_weighed]
     return {
         "verdict": str(diagnosis.verdict),
         "findings": as_text(found),
         "sizes": sizes,
         "ties": "" if table.empty else str(table.iloc[0].confusable_with),
         "answer": said,
+        "margin": abs(max(weighed, default=-np.inf) - DECISIVE_EVIDENCE),
         "right": is_right(names, silence, said, diagnosis.verdict),
     }
 
@@ -129,6 +135,8 @@ def report(old: Records, new: Records) -> str:
         answers=sorted(answers.items()),
         limit=MOVED,
         moved=_moved(old, new),
+        odds=ODDS,
+        near=[key for key in both if new[key].get("margin", np.inf) < np.log(ODDS)],
         turned=[(key, new[key]["right"], old[key]["hidden"]) for key in turned],
         said={key: (_text(old[key]), _text(new[key])) for key in turned},
     )
