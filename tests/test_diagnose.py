@@ -307,6 +307,25 @@ def test_an_effect_that_became_superfluous_is_taken_out_again() -> None:
         study.remove("cubic drag", "p")
 
 
+def test_an_effect_that_ended_at_a_limit_is_taken_out_again() -> None:
+    stiff = canonical("1.4*q**2/2 + p**2/2", "0.1", "0.3")
+    runs = []
+    for k, start in enumerate(([1.0, 0.0], [0.0, 1.2], [-0.8, 0.3])):
+        noise = 0.01 * np.random.default_rng(k).normal(size=(len(T), 2))
+        runs.append(ph.simulate(stiff, T, start) + noise)
+    data = ph.Measurements.from_arrays([T] * 3, runs, states=["q", "p"])
+    known = replace(canonical("q**2/2 + p**2/2", "0", ""), R=ph.damping("p"))
+    lines: list[str] = []
+    rivals = ["maxwell element", "constant force"]
+    study = ph.Study(known, data, effects=rivals, progress=lines.append)
+    study.add("maxwell element", "p")  # as slow as may be: a stiffness
+    assert study.fit.outcome.at_bounds == ("relaxation_time_p",)
+    study.auto(max_steps=1)
+    assert [str(one) for one in study.added] == ["constant force on p"]
+    (told,) = [line for line in lines if "is removed" in line]
+    assert told.startswith("maxwell element on p is removed: the data do not determine")
+
+
 def test_an_effect_stays_where_few_iterations_do_not_fit_the_model_without_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

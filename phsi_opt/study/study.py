@@ -15,7 +15,7 @@ from phsi_opt.arguments import require_choice, require_count, typed
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.diagnosis.candidate import Grade
+from phsi_opt.diagnosis.candidate import Grade, at_limit
 from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import BRIEF, thorough_fit
@@ -29,6 +29,7 @@ from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
 from phsi_opt.presentation.numbers import enumerated
 from phsi_opt.presentation.summary import Summarised, Summary
+from phsi_opt.screening.effect_size import new_names
 from phsi_opt.study.record import Step, StudyRecord
 from phsi_opt.sweeps.sweep import Progress, silent
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -336,7 +337,7 @@ class Study(Summarised):
         """Diagnose and add effects as long as one is decisive; return why it stopped.
 
         After each step, earlier effects are removed if the evidence without them is at
-        least as high.
+        least as high, or if a parameter of theirs has ended at a limit.
 
         Args:
             max_steps: largest number of steps.
@@ -520,7 +521,9 @@ class Study(Summarised):
             except PhsiOptError as error:
                 self._say(f"{effect} stays: no fit of the model without it ({error})")
                 continue
-            if gain > 0:
-                self._say(f"{effect} has become superfluous")
+            names = new_names(fit.model, effect, self.fit.names)
+            lost = at_limit(self.fit.model, names, self.fit.outcome.at_bounds)
+            if gain > 0 or lost:
+                self._say(f"{effect} is removed: {lost or 'it has become superfluous'}")
                 fit = thorough_fit(record.training, record.loss, fit)
                 self._take(f"without {effect}", kept, fit)
