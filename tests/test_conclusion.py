@@ -11,7 +11,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.comparison import compare
-from phsi_opt.criteria import THOROUGH_ITERATIONS
+from phsi_opt.criteria import DECISIVE_EVIDENCE, THOROUGH_ITERATIONS
 from phsi_opt.diagnosis import conclusion, diagnose, refit
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.data_causes import DataCause
@@ -94,6 +94,7 @@ class Case:
     alone: float | None = -100.0  # log evidence without a force; None: not found
     functions: list[Candidate] = field(default_factory=list)  # unknown ones
     are_candidates: bool = True
+    asked: list[str] = field(default_factory=list)  # what was re-fitted
 
     def concluded(self, monkeypatch: pytest.MonkeyPatch) -> ph.Diagnosis:
         record = SimpleNamespace(
@@ -128,6 +129,7 @@ class Case:
         )
 
     def refit(self, base: DiagnosedModel, one: Candidate) -> DiagnosedModel | None:
+        self.asked.append(one.name)
         return self.larger.get(one.name, fitted(run(1.05, p=0.5)))
 
     def size(self, model: ph.Model, fit: ph.Fit, effect: ph.Effect) -> Size:
@@ -141,11 +143,16 @@ class Case:
             found.append(SimpleNamespace(force_left=self.force_left, **known))
         return SimpleNamespace(
             run=lambda: None,
+            is_complete=lambda one: self.is_complete(one.log_evidence),
             in_order=lambda: found,
             worth=lambda one: dict(zip(map(str, one.effects), one.worth, strict=True)),
             path=lambda one: one.effects[::-1],
             alike=lambda one, name: self.alike.get(name, []),
         )
+
+    def is_complete(self, log_evidence: float) -> bool:
+        """Whether a model is as likely without a force."""
+        return self.alone is not None and log_evidence - self.alone < DECISIVE_EVIDENCE
 
     def fitted(self, comparisons: Sequence[Any], has_force: bool) -> Any:
         assert not has_force
@@ -434,6 +441,20 @@ def test_effects_with_a_larger_error_are_not_named(monkeypatch) -> None:
         }
         case = Case(ranking, base, larger, several=[both], alone=10.0)
         assert bool(case.concluded(monkeypatch).findings) == are_named
+
+
+def test_several_that_leave_a_force_are_re_fitted_where_one_is_not_named(
+    monkeypatch,
+) -> None:
+    both = ((DAMPER, SPRING), 40.0, (15.0, 18.0))
+    for force_left, names in ((0.5, [DAMPER]), (0.9, [SPRING, DAMPER])):
+        ranking = [candidate(DAMPER, 20.0, force_left=force_left)]
+        ranking.append(candidate(SPRING, 6.0))
+        larger = {str(DAMPER): fitted(run(9.5)), both_name(): fitted(run(2.0))}
+        case = Case(ranking, larger=larger, several=[both], alone=None)
+        found = case.concluded(monkeypatch)
+        assert [one.effects[0] for one in found.findings] == names
+        assert (both_name() in case.asked) == (len(names) == 2)
 
 
 def test_a_wave_that_leaves_more_is_not_named_alone(monkeypatch) -> None:

@@ -6,8 +6,9 @@ the same; where one does not explain what is missing, a search takes several tog
 much*: a re-fit's free runs, and whether a force remains evident beside it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ from phsi_opt.diagnosis.refit import (
     refit,
     thorough_refit,
 )
-from phsi_opt.diagnosis.search import Search
+from phsi_opt.diagnosis.search import Combination, Search
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.functions import is_function, is_unknown
@@ -94,13 +95,6 @@ class _Proposal:
     worth: Mapping[str, float] = field(default_factory=dict)
     alike: Mapping[str, Sequence[Effect]] = field(default_factory=dict)
 
-    def is_preferred_to(self, single: "_Proposal | None") -> bool:
-        """Whether several effects are asked before one."""
-        if self.is_complete or single is None:
-            return True
-        has_function = is_unknown(single.effects[0])
-        return has_function and self.log_evidence > single.log_evidence
-
     @property
     def of_force(self) -> float:
         """Share of the missing force (mean square) that they take over."""
@@ -125,35 +119,58 @@ class _Judge:
                 return self.without_effect(Verdict.NOTHING_MISSING)
             rank_again(self.base, self.ranking, self.effects)
             single = self.single()
-        several = None
-        if single is None or not single.is_complete:
-            several = self.several(single)
-        laws = [one for one in (single, several) if one is not None]
-        if not any(one.is_complete for one in laws):
-            self.weigh_functions(laws)
-            single = self.single()
-        # As long as a force remains, a further law may stand in for what is missing; so
-        # may a function for several laws.
-        ordered = [single, several]
-        if several is not None and several.is_preferred_to(single):
-            ordered = [several, single]
-        doubts = {}
-        for proposal in filter(None, ordered):
-            doubts[proposal] = self.doubt(proposal)
-            if not doubts[proposal]:
+        doubts = []
+        for proposal in self.proposals(single):
+            doubt = self.doubt(proposal)
+            if not doubt:
                 return self.named(proposal)
-        if single is None:
+            doubts += [(proposal, doubt)] if len(proposal.effects) == 1 else []
+        if not doubts:
             return self.without_effect(Verdict.UNEXPLAINED)
-        return self.not_named(single, doubts[single])
+        return self.not_named(*doubts[-1])
 
-    def weigh_functions(self, laws: Sequence[_Proposal]) -> None:
-        """Unknown functions, as candidates or to be compared with the laws."""
+    def proposals(self, single: _Proposal | None) -> Iterator[_Proposal]:
+        """What may be named, in the order in which it is asked."""
+        if single is not None and single.is_complete:
+            yield single
+            return
+        search = Search(self.base, self.ranking, self.effects)
+        search.run()
+        least = -np.inf if single is None else single.log_evidence
+        together = next(self.together(search, least), None)
+        highest = least
+        if together is not None:
+            highest = together[0].log_evidence
+            if search.is_complete(together[0]):
+                several = self.several(search, least)
+                if several is not None and several.is_complete:
+                    yield from filter(None, (several, single))
+                    return
+        self.weigh_functions(highest)
+        single = self.single()
+        # As long as a force remains, a further law may stand in for what is missing:
+        # one effect is asked before several, unless it is a less likely function.
+        is_late = single is not None and (
+            is_unknown(single.effects[0]) and single.log_evidence < highest
+        )
+        if single is not None and not is_late:
+            yield single
+        several = self.several(search, least)
+        if several is not None:
+            yield several
+        if single is not None and is_late:
+            yield single
+
+    def weigh_functions(self, highest: float) -> None:
+        """Unknown functions, as candidates or to be compared with the laws.
+
+        These have the log evidence ``highest``, one of them or several together.
+        """
         functions = ranked_functions(self.base, self.ranking, self.functions)
         self.rivals = [one for one in functions.candidates if not one.lost]
         if not self.functions:
             return
         # A function of many numbers bends to the error of a model, too.
-        highest = max((one.log_evidence for one in laws), default=-np.inf)
         functions.candidates = [
             one
             for one in functions.candidates
@@ -203,19 +220,20 @@ class _Judge:
         together = np.logaddexp.reduce([one.log_evidence for one in tied])
         return tied if together >= DECISIVE_EVIDENCE else []
 
-    def several(self, single: _Proposal | None) -> _Proposal | None:
-        """Effects that are together decisively likelier than one, each needed."""
-        search = Search(self.base, self.ranking, self.effects)
-        search.run()
-        n_refitted = 0
-        least = DECISIVE_EVIDENCE + (0.0 if single is None else single.log_evidence)
+    def together(
+        self, search: Search, least: float
+    ) -> Iterator[tuple[Combination, Mapping[str, float]]]:
+        """Effects that are decisively likelier than one, and what each is worth."""
         for one in search.in_order():
-            if one.log_evidence < least or n_refitted == MOST_REFITTED:
-                break
+            if one.log_evidence < DECISIVE_EVIDENCE + max(least, 0.0):
+                return
             worth = search.worth(one)
-            if len(worth) == 1 or min(worth.values()) < DECISIVE_EVIDENCE:
-                continue
-            n_refitted += 1
+            if len(worth) > 1 and min(worth.values()) >= DECISIVE_EVIDENCE:
+                yield one, worth
+
+    def several(self, search: Search, least: float) -> _Proposal | None:
+        """The likeliest of these that can be re-fitted."""
+        for one, worth in islice(self.together(search, least), MOST_REFITTED):
             larger = self.refitted(one, thorough=True)
             if isinstance(larger, str):
                 self.base.say(f"{one.name} together are not considered: {larger}")

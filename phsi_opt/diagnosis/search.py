@@ -118,7 +118,7 @@ class Search:
             # What was found first may have stood in for what came after.
             rests = [self._without(found, str(effect)) for effect in found.effects]
             models = [*self.in_order()]
-            if models[0] is found and self._is_complete(found):
+            if models[0] is found and self.is_complete(found):
                 # No further effect can gain; another in place of one of them may.
                 models = rests
 
@@ -128,7 +128,7 @@ class Search:
         highest = self.in_order()[0].log_evidence
         return is_new and one.log_evidence > FAR_BEHIND * max(highest, 0.0)
 
-    def _is_complete(self, one: Combination) -> bool:
+    def is_complete(self, one: Combination) -> bool:
         """Whether a model is as likely without any force."""
         sizes = replace(one.weighed.disturbances, forces=())
         start = replace(one.weighed, processes=None, disturbances=sizes)
