@@ -255,10 +255,12 @@ def ranked_functions(
     return further
 
 
-def weighed_of(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:
-    """A candidate weighed from where it was screened."""
+def weighed_of(
+    record: EvidenceRecord, one: Screened, say: Progress, worth: float = -np.inf
+) -> Weighed:
+    """A candidate weighed from where it was screened, as far as it is worth that."""
     say(f"computing the evidence of {one.effect}")
-    return record.weighed(one.model, one.values)
+    return record.weighed(one.model, one.values, worth)
 
 
 def _expected(base: DiagnosedModel, one: Screened, lost: str) -> Candidate:

@@ -1,12 +1,13 @@
 """A search over models: sets of effects, compared by their evidence beside a force.
 
 The likeliest model is enlarged by one effect: screening beside its force tells what
-every further effect promises, and models are weighed in that order until none promises
-to come near the likeliest. Where that finds no likelier model the next likeliest one is
-enlarged. A new likeliest model gives back each of its effects by turns, as the first
-may have stood in for what was found later. Where it is as likely without a force
-nothing is left to be found, and only exchanges of one effect go on. A search ends where
-three models were enlarged in vain.
+every further effect promises, less what it did not keep of its promises before, and
+models are weighed in that order until none promises to come near the likeliest. Where
+that finds no likelier model the next likeliest one is enlarged that no smaller model
+equals. A new likeliest model gives back each of its effects by turns, as the first may
+have stood in for what was found later. Where it is as likely without a force nothing is
+left to be found, and only exchanges of one effect go on. A search ends where three
+models were enlarged in vain.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -16,7 +17,12 @@ from functools import reduce
 
 import numpy as np
 
-from phsi_opt.criteria import DECISIVE_EVIDENCE, FAR_BEHIND, STRONG_EVIDENCE
+from phsi_opt.criteria import (
+    DECISIVE_EVIDENCE,
+    FAR_BEHIND,
+    LEAST_FINDING,
+    STRONG_EVIDENCE,
+)
 from phsi_opt.diagnosis.candidate import at_limit
 from phsi_opt.diagnosis.ranking import Ranking, force_left, screened_beside, weighed_of
 from phsi_opt.diagnosis.refit import DiagnosedModel
@@ -71,14 +77,21 @@ class _Step:
     record: EvidenceRecord  # beside which the new one was screened
     further: Screened
     promise: float  # expected log evidence, as that of `Combination`
+    worth: float  # log likelihood below which it is not near the likeliest model
 
     @property
     def key(self) -> frozenset[str]:
         return frozenset(map(str, self.effects))
 
 
+def _promise(further: Screened, price: float) -> float:
+    """Log evidence that an effect is expected to gain, less its price."""
+    # The expected gain has paid for the values tried, which the price has too.
+    return further.gain + float(np.log(further.n_tried)) - price
+
+
 def _weighed(step: _Step, say: Progress) -> Weighed:
-    return weighed_of(step.record, step.further, say)
+    return weighed_of(step.record, step.further, say, step.worth)
 
 
 class Search:
@@ -91,11 +104,15 @@ class Search:
         self.ranking = ranking
         self.effects = effects
         self.known: dict[frozenset[str], Combination] = {}
+        # The largest share of its promise that an effect kept where it was weighed.
+        self.kept: dict[str, float] = {}
         for one in ranking.candidates:
             if one.was_weighed and not one.lost:
-                price = ranking.price(ranking.screened[one.name])
+                further = ranking.screened[one.name]
+                price = ranking.price(further)
                 weighed = ranking.weighed[one.name]
                 self._take((one.effect,), {one.name: price}, weighed)
+                self._compare(one.name, _promise(further, price), one.log_evidence)
 
     def run(self) -> None:
         """Enlarge the likeliest models, until some in a row find no likelier one."""
@@ -123,10 +140,17 @@ class Search:
                 models = rests
 
     def _may_gain(self, one: Combination, enlarged: Collection[frozenset[str]]) -> bool:
-        """Whether a model may have a further effect, and is not far behind the best."""
-        is_new = one.key not in enlarged and len(one.effects) < MOST_EFFECTS
-        highest = self.in_order()[0].log_evidence
-        return is_new and one.log_evidence > FAR_BEHIND * max(highest, 0.0)
+        """Whether a further effect may make it the likeliest model.
+
+        It is not far behind that, and no smaller model does as well.
+        """
+        if one.key in enlarged or len(one.effects) == MOST_EFFECTS:
+            return False
+        highest = max(self.in_order()[0].log_evidence, 0.0)
+        least = (1 - LEAST_FINDING) * one.log_evidence
+        rests = (rest for rest in self.known.values() if rest.key < one.key)
+        has_equal = any(rest.log_evidence > least for rest in rests)
+        return one.log_evidence > FAR_BEHIND * highest and not has_equal
 
     def is_complete(self, one: Combination) -> bool:
         """Whether a model is as likely without any force."""
@@ -181,7 +205,8 @@ class Search:
     def _enlarge(self, one: Combination) -> None:
         """Weigh a model with each further effect, the most promising first.
 
-        Until none is expected to come near the likeliest one that was found.
+        Until none is expected to come near the likeliest one that was found; each as
+        long as it promises to.
         """
         steps = [step for step in self._steps(one) if step.key not in self.known]
         steps.sort(key=lambda step: -step.promise)
@@ -192,7 +217,17 @@ class Search:
                 if step.promise < self.in_order()[0].log_evidence - STRONG_EVIDENCE:
                     return
                 with suppress(SolveError):
-                    self._take(step.effects, step.prices, next(results)())
+                    found = self._take(step.effects, step.prices, next(results)())
+                    if found is not None:
+                        gain = found.log_evidence - one.log_evidence
+                        expected = step.promise - one.log_evidence
+                        self._compare(str(step.further.effect), expected, gain)
+
+    def _compare(self, name: str, expected: float, gain: float) -> None:
+        """Note what an effect kept of its promise."""
+        if expected > 0:
+            share = float(np.clip(gain / expected, 0.0, 1.0))
+            self.kept[name] = max(share, self.kept.get(name, 0.0))
 
     def _steps(self, one: Combination) -> Iterator["_Step"]:
         """The model with each further effect, and the log evidence it promises."""
@@ -200,15 +235,16 @@ class Search:
         record = replace(self.ranking.record, base=one.weighed)
         others = [effect for effect in self.effects if str(effect) not in one.key]
         for further in screened_beside(LinearizedRecord.beside_force(record), others):
+            name = str(further.effect)
             price = self.ranking.price(further)
-            # The expected gain has paid for the values tried, which the price has too.
-            gain = further.gain + float(np.log(further.n_tried)) - price
+            gain = _promise(further, price) * self.kept.get(name, 1.0)
             yield _Step(
                 (*one.effects, further.effect),
-                {**one.prices, str(further.effect): price},
+                {**one.prices, name: price},
                 record,
                 further,
                 one.log_evidence + gain,
+                self.in_order()[0].weighed.log_likelihood - STRONG_EVIDENCE,
             )
 
     def _without(self, larger: Combination, name: str) -> Combination | None:

@@ -441,15 +441,19 @@ class EvidenceRecord:
             worth,
         )
 
-    def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
+    def weighed(
+        self, model: Model, values: Mapping[str, float], worth: float = -np.inf
+    ) -> Weighed:
         """A larger model with values of what is new, begun where the base is likeliest.
+
+        Rounds end where it promises to be no likelier than the base, or has less than a
+        log likelihood ``worth``.
 
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
-        return self.weighing.weighed(
-            self._start(model, values), self.base.log_likelihood
-        )
+        least = max(worth, self.base.log_likelihood)
+        return self.weighing.weighed(self._start(model, values), least)
 
     def _start(self, model: Model, values: Mapping[str, float]) -> Start:
         """A larger model with values of what is new, where the base is likeliest."""
