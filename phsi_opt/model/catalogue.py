@@ -24,7 +24,6 @@ from phsi_opt.model.parameter_units import drive_of, parameter_units, state_unit
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
-    WORDS,
     Role,
     effort_of,
     forced_rows,
@@ -198,34 +197,27 @@ def inertia_of(model: BaseModel, x: str, units: Mapping[str, str]) -> str:
     return ""
 
 
-# What an equation may be short of, by the role of its state and, where several are
-# possible, by the unit of what drives it; a plain "term" for others.
-LACKING = {
-    (Role.BODY, "N m"): "torque",
-    (Role.BODY, ""): "force",
-    (Role.PIPE, ""): "pressure",
-    (Role.TANK, ""): "flow",
-    (Role.COIL, ""): "voltage",
-    (Role.CAPACITOR, ""): "current",
-    (Role.CIRCUIT, "V"): "voltage",
-    (Role.CIRCUIT, "A"): "current",
-    (Role.HEAT, ""): "heat flow",
-}
-PER = {"voltage": "inductance", "current": "capacitance"}  # where a circuit has both
-
-
 def lacking_quantity(
     model: BaseModel, x: str, units: Mapping[str, str], inertia: str
 ) -> str:
-    """What is missing in the equation of x: a force, a voltage, a flow per capacity."""
+    """What is missing in the equation of x: a force, a voltage, a flow per capacity.
+
+    It follows from the role of x and, where several are possible, from the unit of what
+    drives it; a plain "term" for others.
+    """
     known = with_kinds_of_units(model, units)
     unit = state_units(known, units)[x]
     drive = drive_of(unit) or rate_unit(unit, units.get("t", ""))
     role = role_of(known, x)
-    found = LACKING.get((role, drive)) or LACKING.get((role, ""))
-    is_rate = not inertia and _has_rates(known, x, units)
-    per = PER.get(found or "") or WORDS[role][-1]
-    return f"{found}{f' per {per}' if is_rate else ''}" if found else "term"
+    *_, per, found = role.value
+    if role is Role.BODY and drive == "N m":
+        found = "torque"
+    elif role is Role.CIRCUIT:
+        alike = {"V": Role.COIL, "A": Role.CAPACITOR}.get(drive, role)
+        *_, per, found = alike.value
+    if found and not inertia and _has_rates(known, x, units):
+        return f"{found} per {per}"
+    return found or "term"
 
 
 def _has_rates(model: BaseModel, x: str, units: Mapping[str, str]) -> bool:
@@ -243,7 +235,7 @@ def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) ->
     x = known.states[known.rows(effect.equation)[0]]
     if not _has_rates(known, x, units) or inertia_of(known, x, units):
         return ""
-    return f" (per {WORDS[role_of(known, x)][-1]})"
+    return f" (per {role_of(known, x).value[3]})"
 
 
 def _places(
@@ -287,7 +279,7 @@ def _places(
 
 def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]:
     """The names of the laws in the equation of x, see ``laws``."""
-    source, grows_with, place, _ = WORDS[role_of(model, x)]
+    source, grows_with, place, *_ = role_of(model, x).value
     article = "an" if source[0] in "aeiou" else "a"
     e = effort_of(model, x)
     omega = "omega"  # of a wave, that is not taken

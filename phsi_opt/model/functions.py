@@ -32,7 +32,6 @@ from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
-    WORDS,
     effort_of,
     forced_rows,
     kind_of,
@@ -55,13 +54,8 @@ SHAPES = (
 )
 # Of the numbers inside of a formula: shares of the largest value to begin with.
 INNER = {"width": (0.1, 0.2, 0.35, 0.6, 1.0), "limit": (-0.7, -0.4, 0.0, 0.4, 0.7, 0.9)}
-# What bells leave out, by whether the model has a constant, and a line through zero.
-LESS = {
-    (False, False): "",
-    (True, False): ", less a constant",
-    (False, True): ", less a slope",
-    (True, True): ", less a line",
-}
+# What bells leave out: 1 for a constant that the model has, 2 for a line through zero.
+LESS = ("", ", less a constant", ", less a slope", ", less a line")
 NUMERAL = r"-?\d{1,20}(?:\.\d{1,20})?(?:e[-+]\d{1,3})?"
 NAME = re.compile(
     r"unknown [a-z ]{1,40} (?P<kind>[fr])\((?P<z>\w+(?: - \w+)?)\) "
@@ -114,7 +108,7 @@ def unknown_functions(
             continue  # the model has that function, in one way or the other
         low, high = range_of(place.z)
         if _is_range(low, high):
-            less = LESS[place.is_known("1"), place.is_known(place.z)]
+            less = LESS[place.is_known("1") + 2 * place.is_known(place.z)]
             for n in (6, 12):  # for a function that is wide, and for one with details
                 of = f"of {n} bells from {low:.10g} to {high:.10g}{less}"
                 yield place.named(f"{place.called} {of}")
@@ -194,8 +188,8 @@ class _Bells(NamedTuple):
                 f"effect {found[0]!r} has {n} bells from {low:g} to {high:g}; expected "
                 "4 to 30, along a range that increases."
             )
-        has_line = next(known for known, text in LESS.items() if text == found["less"])
-        own = np.flatnonzero(has_line)  # a constant, and a slope
+        less = LESS.index(found["less"])
+        own = np.flatnonzero([less % 2, less // 2])  # a constant, and a slope
         step = (high - low) / (n - 1)
         z = np.linspace(low, high, 60)
         centres = np.linspace(low, high, n)
@@ -236,7 +230,7 @@ class _Place:
         lacking = "loss"
         if self.kind == "f":
             (first, *_) = self.model.rows(self.equation)
-            lacking = WORDS[role_of(self.model, self.model.states[first])][0]
+            lacking = role_of(self.model, self.model.states[first]).value[0]
         return f"unknown {lacking} {self.kind}({self.z})"
 
     @property

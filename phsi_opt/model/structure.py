@@ -14,7 +14,7 @@ already says nothing about that.
 
 from collections.abc import Mapping
 from dataclasses import replace
-from enum import StrEnum
+from enum import Enum
 from typing import TypeVar
 
 import numpy as np
@@ -211,30 +211,24 @@ def unpaired_states(model: BaseModel) -> tuple[str, ...]:
     return tuple(name for name in model.states if name not in paired)
 
 
-class Role(StrEnum):
-    """What a state is."""
+class Role(Enum):
+    """What a state is, in words.
 
-    BODY = "a momentum or speed"
-    PIPE = "a flow with inertia: the momentum of a hydraulic pair"
-    TANK = "a level, a volume or a pressure"
-    COIL = "a flux: the momentum of an electrical pair"
-    CAPACITOR = "a charge: the position of an electrical pair"
-    CIRCUIT = "a charge, flux, current or voltage (not known which)"
-    HEAT = "a temperature or heat"
-    UNKNOWN = "a speed or a storage of an unknown kind"
+    What comes from outside; what a loss grows with; the place of a momentum; what
+    resists all of them; and what the equation may be short of ("": that depends).
+    """
+
+    BODY = ("force", "speed", "position", "inertia", "force")  # a momentum or speed
+    PIPE = ("pressure", "the flow", "volume", "inertia", "pressure")  # with inertia
+    TANK = ("inflow", "the level", "", "capacity", "flow")
+    COIL = ("voltage", "the current", "charge", "inductance", "voltage")
+    CAPACITOR = ("current", "the voltage", "", "capacitance", "current")
+    # A charge, flux, current or voltage; it is not known which.
+    CIRCUIT = ("source", "the current or voltage", "", "inductance or capacitance", "")
+    HEAT = ("heat input", "the temperature", "", "heat capacity", "heat flow")
+    UNKNOWN = ("force", "the speed or level", "", "inertia or capacity", "")
 
 
-# What comes from outside, such as a force; what a loss grows with; what resists both.
-WORDS = {
-    Role.BODY: ("force", "speed", "position", "inertia"),
-    Role.PIPE: ("pressure", "the flow", "volume", "inertia"),
-    Role.TANK: ("inflow", "the level", "", "capacity"),
-    Role.COIL: ("voltage", "the current", "charge", "inductance"),
-    Role.CAPACITOR: ("current", "the voltage", "", "capacitance"),
-    Role.CIRCUIT: ("source", "the current or voltage", "", "inductance or capacitance"),
-    Role.HEAT: ("heat input", "the temperature", "", "heat capacity"),
-    Role.UNKNOWN: ("force", "the speed or level", "", "inertia or capacity"),
-}
 OF_MOMENTA = {MECHANICAL: Role.BODY, HYDRAULIC: Role.PIPE, ELECTRICAL: Role.COIL}
 OF_OTHERS = {
     MECHANICAL: Role.BODY,
