@@ -67,10 +67,14 @@ class Inner(NamedTuple):
 
 
 def _tried(
-    of: str, *shares: float, most: float = np.inf, unit: str = "", words: str = ""
+    of: str,
+    shares: Iterable[float],
+    most: float = np.inf,
+    unit: str = "",
+    words: str = "",
 ) -> Inner:
     """A positive parameter that starts at the best of several values."""
-    guess = Tried(of, shares, most)
+    guess = Tried(of, tuple(shares), most)
     return Inner(Parameter(lower=0.0, unit=unit, guess=guess), words)
 
 
@@ -84,23 +88,8 @@ def _width(of: str, share: float, *sharper: float, words: str = "") -> Inner:
 # largest one, where a limit is passed briefly.
 LIMITS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)
 # In times between samples: from a share of one on, each about 1.6 times the last.
-DELAYS = (
-    0.25,
-    0.5,
-    1.0,
-    2.0,
-    3.0,
-    5.0,
-    8.0,
-    13.0,
-    21.0,
-    34.0,
-    55.0,
-    89.0,
-    144.0,
-    233.0,
-)
-# No limit or play beyond the largest value does anything: most is 1 there.
+DELAYS = (0.25, 0.5, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233)
+# No limit or play beyond the largest value does anything: the most is 1 there.
 INNER_PARAMETERS = {
     "ratio": Inner(Parameter(1.0, lower=0.0), "ratio of the capacities"),
     # Dry friction turns over within this share of the typical (root mean square)
@@ -110,44 +99,43 @@ INNER_PARAMETERS = {
     # of fits of 10 000 samples went to and fro 20 times.
     "v0": _width("{e}", 0.06, *(0.5,) * 6, words="speed of transition v0"),
     # A friction that falls over a longer range is Coulomb's.
-    "v_s": _tried(
-        *("{e}", 0.05, 0.1, 0.2, 0.3, 0.45), most=3.0, words="Stribeck speed v_s"
-    ),
+    "v_s": _tried("{e}", (0.05, 0.1, 0.2, 0.3, 0.45), 3.0, words="Stribeck speed v_s"),
     # A turbulent leak turns laminar below this share of the typical level, where its
     # square root would be steep without end.
     "e0": _width("{e}", 0.01, words="level of transition e0"),
-    "half": _tried(
-        *("{e}", 0.03, 0.1, 0.3, 1.0), words="level of half the conductance"
-    ),
-    "limit": _tried("{level}", *LIMITS, most=1.0),
+    "half": _tried("{e}", (0.03, 0.1, 0.3, 1.0), words="level of half the conductance"),
+    "limit": _tried("{level}", LIMITS, 1.0),
     "{omega}": Inner(
         Parameter(lower=0.0, unit="rad/s", guess=Scan("t")), "frequency omega"
     ),
     "dead_zone_{u}_{x}": _tried(
-        *("{u}", 0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8),
-        most=1.0,
+        "{u}",
+        (0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8),
+        1.0,
         words="half the width of the dead zone",
     ),
     "saturation_{u}_{x}": _tried(
-        *("{u}", 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98),
-        most=1.0,
+        "{u}",
+        (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98),
+        1.0,
         words="limit of the saturation",
     ),
-    "lag_{u}_{x}": _tried("dt", *DELAYS, unit="s", words="lag"),
+    "lag_{u}_{x}": _tried("dt", DELAYS, unit="s", words="lag"),
     "delay_{u}_{x}": Inner(Parameter(lower=0.0, unit="s"), "delay"),
-    "play": _tried("{q}", 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, most=1.0),
+    "play": _tried("{q}", (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9), 1.0),
     # Shares of the longest record; what takes longer is told from a constant by
     # nothing. A re-fit begins at the one in the middle: a second storage that follows
     # soon is hardly different from the first, and a solver finds its way from there.
     "storage_time_constant_{x}": _tried(
-        *("t", 0.002, 0.003, 0.005, 0.01, 0.03, 0.1, 0.3),
-        most=1.0,
-        unit="s",
-        words="time constant of the second storage",
+        "t",
+        (0.002, 0.003, 0.005, 0.01, 0.03, 0.1, 0.3),
+        1.0,
+        "s",
+        "time constant of the second storage",
     ),
     # The displacement over which a hysteresis yields.
     "hysteresis_width_{x}": _tried(
-        *("{q}", 0.05, 0.1, 0.2, 0.4), words="width of the hysteresis"
+        "{q}", (0.05, 0.1, 0.2, 0.4), words="width of the hysteresis"
     ),
     "bouc_wen_shape_{x}": Inner(
         Parameter(lower=-2.0, guess=Tried("1", (-1.0, 0.0), 2.0)),
@@ -157,13 +145,13 @@ INNER_PARAMETERS = {
     # the hysteresis' state, which stays within -1 and 1, within 0.05.
     "hysteresis_slow_{x}": _width("{e}", 0.02),
     "relaxation_time_{x}": _tried(
-        *("t", 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.3), most=1.0, unit="s"
+        "t", (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.3), 1.0, "s"
     ),
     # Over 2 pi the period of a resonance; a quarter more from one to the next.
-    "resonance_time_{x}": _tried("dt", *(0.6 * 1.25**k for k in range(24)), unit="s"),
+    "resonance_time_{x}": _tried("dt", (0.6 * 1.25**k for k in range(24)), unit="s"),
     "resonance_damping_{x}": Inner(Parameter(0.1, lower=0.0)),
-    "clipping_{x}": _tried("{x}", *LIMITS, most=1.0, words="limit of the clipping"),
-    "sensor_delay_{x}": _tried("dt", *DELAYS, unit="s"),
+    "clipping_{x}": _tried("{x}", LIMITS, 1.0, words="limit of the clipping"),
+    "sensor_delay_{x}": _tried("dt", DELAYS, unit="s"),
 }
 
 # ---- memory: further states, each with its rate --------------------------------------
