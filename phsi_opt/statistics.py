@@ -75,7 +75,10 @@ def autocorrelation_time(series: Sequence[np.ndarray]) -> float:
     Returns:
         tau; 1 where the series are empty or zero, or where neighbours alternate.
     """
-    covariances = _summed_autocovariances(series)
+    # Sums of products at each lag, over all series; zero at two lags more.
+    covariances = np.zeros(max(map(len, series), default=0) + 2)
+    for values in series:
+        covariances[: len(values)] += self_convolved(values)[len(values) - 1 :]
     variance = covariances[0]
     if variance <= 0:
         return 1.0
@@ -87,17 +90,6 @@ def autocorrelation_time(series: Sequence[np.ndarray]) -> float:
     # the first pair is 1 + rho_1: twice the sum of the pairs counts lag 0 twice
     tau = 2 * pairs[:n_pairs].sum() - 1
     return max(float(tau), 1.0)
-
-
-def _summed_autocovariances(series: Sequence[np.ndarray]) -> np.ndarray:
-    """Sums of products at each lag, over all series; zero at two lags more."""
-    n_lags = max(map(len, series), default=0)
-    covariances = np.zeros(n_lags + 2)
-    for values in series:
-        n_samples = len(values)
-        both_sides = self_convolved(values)
-        covariances[:n_samples] += both_sides[n_samples - 1 :]
-    return covariances
 
 
 def self_convolved(values: np.ndarray) -> np.ndarray:

@@ -22,7 +22,6 @@ from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation.estimate import Pruning
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
-from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import Entry
 from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.column_function import in_rows
@@ -198,7 +197,9 @@ class DescentRun:
             is_within = one.parameter.lower <= values[one.name] <= one.parameter.upper
             if one.slot == "R" and not is_within:
                 outside.append(one.name)
-        released = self.model.with_parameters(_without_bounds, outside)
+        released = self.model.with_parameters(
+            lambda _, one: replace(one, lower=-np.inf, upper=np.inf), outside
+        )
         kept = released.without(set(self.removed))
         return kept.with_values({name: values[name] for name in kept.entries})
 
@@ -235,10 +236,6 @@ class DescentRun:
             history=history,
             settings=str(self.settings),
         )
-
-
-def _without_bounds(_: str, parameter: Parameter) -> Parameter:
-    return replace(parameter, lower=-np.inf, upper=np.inf)
 
 
 def loss_and_slopes(model: Model, scheme: str) -> ca.Function:

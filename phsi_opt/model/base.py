@@ -195,11 +195,17 @@ class BaseModel:
 
     def placed(self) -> list[PlacedTerm]:
         """All terms with slot and equation ('' for H)."""
-        rows = [PlacedTerm("H", "", term) for term in self.H]
+        rows = self.placed_at("H", "")
         for slot in BY_EQUATION:
-            for equation, terms in getattr(self, slot).items():
-                rows += [PlacedTerm(slot, equation, term) for term in terms]
+            for equation in getattr(self, slot):
+                rows += self.placed_at(slot, equation)
         return rows
+
+    def placed_at(self, slot: str, equation: str) -> list[PlacedTerm]:
+        """The terms in a slot of an equation, with both."""
+        return [
+            PlacedTerm(slot, equation, one) for one in self.terms_at(slot, equation)
+        ]
 
     @cached_property
     def names_in_formulas(self) -> tuple[str, ...]:

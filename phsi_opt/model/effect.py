@@ -17,8 +17,6 @@ from phsi_opt.model.terms import Dictionary, Term, read_only
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 
-COLUMNS_OF_EFFECTS = ("effect", "equation", "slot", "family")
-
 
 @typed
 @dataclass(frozen=True)
@@ -148,5 +146,5 @@ class EffectList(Summarised, list[Effect]):
 
     def _summary(self) -> Summary:
         rows = [(one.name, one.equation, one.slot, one.family) for one in self]
-        table = printed_table(rows, columns=list(COLUMNS_OF_EFFECTS))
+        table = printed_table(rows, columns=["effect", "equation", "slot", "family"])
         return Summary(number_of(len(self), "effect"), (Part(table=table),))

@@ -24,9 +24,6 @@ from phsi_opt.model.terms import Dictionary, parameter_of
 if TYPE_CHECKING:
     import sympy as sp
 
-USUAL_INPUT = re.compile(r"u\d*")
-LIKE_VELOCITY = re.compile(r"v$|v_|dH_d|dF_d")
-
 
 @typed
 def mechanical(
@@ -93,12 +90,12 @@ def mechanical(
     names = frozenset().union(*map(names_of, laws))
     known = {name: parameter_of(one) for name, one in parameters.items()}
     if inputs is None:
-        inputs = sorted(filter(USUAL_INPUT.fullmatch, names - known.keys()))
+        inputs = sorted(filter(re.compile(r"u\d*").fullmatch, names - known.keys()))
     variables = Variables((*positions, *momenta), tuple(inputs))
     moving = {*variables.of_slot("R"), *velocities}
     check_unique((*variables.states, *velocities, *inputs), "name", ModelError)
     for name in sorted(names - {*positions, *velocities, *inputs, *known}):
-        if name in momenta or LIKE_VELOCITY.match(name):
+        if name in momenta or re.match(r"v$|v_|dH_d|dF_d", name):
             raise ModelError(
                 f"{name!r} in forces={forces!r} is unknown; velocities are called "
                 f"{', '.join(velocities)}. If it is a parameter, give it: "

@@ -36,7 +36,7 @@ class Expressions:
 
     @cached_property
     def energy(self) -> Any:
-        return self._total(self._at("H", ""), self._variables)
+        return self._total(self.model.placed_at("H", ""), self._variables)
 
     @cached_property
     def efforts(self) -> list[Any]:
@@ -73,7 +73,7 @@ class Expressions:
         slope_names = self.model.variables.slopes
         names = set(slope_names)
         for equation in self.model.states:
-            placed = self._at("F", equation)
+            placed = self.model.placed_at("F", equation)
             on_slopes = [one for one in placed if names_of(one.term.body) & names]
             direct = [one for one in placed if one not in on_slopes]
             force = self._total(direct, self.known)
@@ -101,7 +101,7 @@ class Expressions:
 
     def total(self, slot: str, equation: str) -> Any:
         """The sum of the terms at a place."""
-        return self._total(self._at(slot, equation), self.known)
+        return self._total(self.model.placed_at(slot, equation), self.known)
 
     @property
     def shown(self) -> ca.SX:
@@ -121,10 +121,6 @@ class Expressions:
         efforts = zip(self.model.efforts, self.efforts, strict=True)
         return {**self._variables, **dict(efforts)}
 
-    def _at(self, slot: str, equation: str) -> list[PlacedTerm]:
-        terms = self.model.terms_at(slot, equation)
-        return [PlacedTerm(slot, equation, term) for term in terms]
-
     def _total(self, terms: Iterable[PlacedTerm], known: Mapping[str, Any]) -> Any:
         names = {**self.values, **known}
         return sum(placed.value(names, self.backend) for placed in terms)
@@ -133,7 +129,7 @@ class Expressions:
         """Value of each term along a direction of several states, and the factors."""
         names = {**self.values, **self.known}
         for equation in getattr(self.model, slot):
-            for placed in self._at(slot, equation):
+            for placed in self.model.placed_at(slot, equation):
                 if equation not in self.model.states:
                     factors = placed.factors(self.model.states, names, self.backend)
                     yield placed.value(names, self.backend), factors
@@ -269,8 +265,6 @@ def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
 
 # ---- how a model prints --------------------------------------------------------------
 
-SHOWN_OF_MODEL = ("name", "value", "known", "lower", "upper", "unit")
-
 
 def model_summary(model: BaseModel) -> Summary:
     """What a model says of itself: its equations, and its parameters in a table."""
@@ -287,7 +281,8 @@ def model_summary(model: BaseModel) -> Summary:
         bounds = (parameter.lower, parameter.upper)
         listed.append((name, parameter.start, known, *bounds, parameter.unit))
     if listed:
-        table = printed_table(listed, columns=list(SHOWN_OF_MODEL))
+        columns = ["name", "value", "known", "lower", "upper", "unit"]
+        table = printed_table(listed, columns=columns)
         parts.append(Part("parameters", table=table))
     return Summary(title, tuple(parts))
 
