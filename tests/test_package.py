@@ -16,7 +16,7 @@ import phsi_opt
     ("import phsi_opt", "phsi_opt", "casadi numpy pandas scipy sympy matplotlib"),
     ("from phsi_opt import Study, identify", "casadi", "cvxpy jinja2 matplotlib openpyxl pandas rich sympy typer "
      "scipy.interpolate scipy.signal scipy.stats"),
-    ("import phsi_opt.baselines.descent, problems.thesis.systems", "numpy", "torch"),
+    ("import phsi_opt.baselines.gradient_descent, problems.thesis.systems", "numpy", "torch"),
     ("import phsi_opt.command_line.app", "typer", "numpy casadi pandas scipy"),
     ("import phsi_opt.command_line.worker, phsi_opt.command_line.__main__", "phsi_opt.command_line.worker",
      "typer rich tomlkit numpy"),

@@ -21,8 +21,7 @@ from subprocess import TimeoutExpired
 import numpy as np
 
 import phsi_opt as ph
-from phsi_opt.baselines.descent import Descent
-from phsi_opt.baselines.gradient_descent import gradient_descent
+from phsi_opt.baselines.gradient_descent import Descent, gradient_descent
 from phsi_opt.interrupts import is_noted
 from problems.benchmarks import chains
 from problems.benchmarks.stress import (

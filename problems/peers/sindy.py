@@ -23,7 +23,7 @@ import pysindy as ps
 from sklearn.exceptions import ConvergenceWarning
 
 from phsi_opt.arguments import require_choice, require_size
-from phsi_opt.baselines.descent import Baseline
+from phsi_opt.baselines.gradient_descent import Baseline
 from phsi_opt.data.checks import checked_hold, hold_of_each
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import InputCurve

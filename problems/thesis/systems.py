@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import phsi_opt as ph
-from phsi_opt.baselines.descent import Descent
+from phsi_opt.baselines.gradient_descent import Descent
 from phsi_opt.model.terms import Dictionary, Term
 from problems.tools.data_paths import folder
 from problems.tools.simulation import integrated
