@@ -42,6 +42,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain, permutations
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -365,7 +366,8 @@ class Law:
                     term = _term(rate, "formula", names)
                     memory[state.format_map(names)] = Dictionary((term,))
             # What the rates name is known to the whole model.
-            of_rates = set().union(*(one.inner for one in chain(*memory.values())))
+            rates = chain(*memory.values())
+            of_rates = set().union(*map(attrgetter("inner"), rates))
             added = []
             for one in terms.items():
                 term = _term(*one, names, of_rates)
@@ -495,15 +497,13 @@ def parameter_words(model: BaseModel, name: str) -> str:
                 return name[: -len(told)].replace("_", " ") + told
     for state in filter(lambda one: name.endswith(f"_{one}"), model.states):
         stem = name.removesuffix(f"_{state}").replace("_", " ")
-        starts = [
-            one for one in WORDS_OF_PARAMETERS if f"{stem} ".startswith(f"{one} ")
-        ]
-        kind = max(starts, key=len, default="")
+        kinds = filter(f"{stem} ".startswith, map("{} ".format, WORDS_OF_PARAMETERS))
+        kind = max(kinds, key=len, default="").rstrip()
         if kind:
             rest = stem[len(kind) + 1 :]
             is_variable = rest in (*model.states, *model.inputs)
             # A constant force is none of an input "force".
-            is_source = any(law.name == f"{kind} {{source}}" for law in LAWS["forces"])
+            is_source = BY_NAME.get(kind) in LAWS["forces"]
             of = " of" if is_variable and not is_source else ""
             words = WORDS_OF_PARAMETERS[kind] or kind
             return f"{words}{of} {rest}".rstrip() + f" on {state}"

@@ -218,7 +218,7 @@ def is_spanned(model: BaseModel, effect: Effect) -> bool:
         return False
     # Whether its slopes are a sum of the slopes of the model's parameters.
     larger = model.add(effect)
-    is_new = np.array([name not in model.entries for name in larger.free])
+    is_new = ~np.isin(larger.free, list(model.entries))
     slopes = _slopes_in_random_states(model, larger)
     own = slopes[:, ~is_new]
     added = slopes[:, is_new]
