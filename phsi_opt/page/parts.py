@@ -112,7 +112,7 @@ def _field(table: Content, key: str, entry: Key, label: str, then: Then) -> ui.e
 
     if entry.options:
         options = {one: OPTION_LABELS.get(one, one) for one in entry.options}
-        now = table.get(key, entry.options[0])
+        now = table.get(key) or entry.options[0]
         return choice(label, options, now, changed)
     value = kind.text(table[key]) if key in table else ""
     made = ui.input(label, value=value, on_change=lambda e: changed(e.value))
