@@ -127,16 +127,14 @@ def is_of(value: Any, hint: Any) -> bool:
     return is_once or all(map(is_of, value, repeat(parts[0])))
 
 
-def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") -> None:
+def require(fine: bool, name: str, value: Any, expected: str) -> None:
     """Let a setting pass, or say what is wrong with it.
 
     Raises:
         ModelError: unless ``fine``; it names the setting, its value and the expected.
     """
     if not fine:
-        raise ModelError(
-            f"{name}={shown(value)} is not possible; expected {expected}.{hint}"
-        )
+        raise ModelError(f"{name}={shown(value)} is not possible; expected {expected}.")
 
 
 def require_choice(name: str, value: Any, choices: Sequence[str]) -> None:

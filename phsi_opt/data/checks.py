@@ -136,23 +136,6 @@ def check_values(
     raise DataError(f"{place_of(*place)} is {value}; {expected}")
 
 
-def check_same_length(sequences: Mapping[str, Any], expected: str) -> None:
-    """Refuse sequences, by their names in messages, that differ in length.
-
-    Raises:
-        DataError: it names the lengths and the rule.
-    """
-    lengths = {}
-    for name, values in sequences.items():
-        is_sized = np.iterable(values) and hasattr(values, "__len__")
-        lengths[name] = len(values) if is_sized else None
-    if len(set(lengths.values())) > 1:
-        raise DataError(
-            f"the lengths differ: {lengths}; expected {expected}. "
-            "Check that the lists belong together."
-        )
-
-
 def check_unique(
     names: Sequence[str], what: str, error: type[PhsiOptError] = DataError
 ) -> None:

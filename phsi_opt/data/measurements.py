@@ -10,7 +10,7 @@ filtered. How tables are read is in `table_readers`, how integration steps join 
 import hashlib
 import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from itertools import compress, pairwise
 from textwrap import fill
@@ -34,7 +34,6 @@ from phsi_opt.data.table_readers import TableReaders
 from phsi_opt.data.trajectory import (
     Trajectory,
     check_channels,
-    checked_trajectories,
     part_of,
     run_numbers,
     trajectories_in_arrays,
@@ -84,7 +83,10 @@ class Measurements(TableReaders, Summarised):
     noise: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
-        trajectories = checked_trajectories(self.trajectories)
+        trajectories = tuple(self.trajectories)
+        if not trajectories:
+            raise DataError("trajectories=[]; expected at least one Trajectory.")
+        check_unique([run.name for run in trajectories], "trajectory name")
         states = checked_names(self.states, "states")
         inputs = checked_names(self.inputs, "inputs")
         check_unique(states + inputs, "name")
@@ -482,15 +484,10 @@ class Measurements(TableReaders, Summarised):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because a mappingproxy cannot be pickled."""
-        arguments = (
-            self.trajectories,
-            self.states,
-            self.inputs,
-            dict(self.units),
-            checked_hold(self.hold, self.inputs),
-            None if self.noise is None else dict(self.noise),
+        values = [getattr(self, one.name) for one in fields(self)]
+        return type(self), tuple(
+            dict(one) if isinstance(one, MappingProxyType) else one for one in values
         )
-        return type(self), arguments
 
 
 # ---- parts ---------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from phsi_opt.data.binary_tables import table_of_excel, table_of_groups, table_o
 from phsi_opt.data.checks import Hold, check_unique, checked_names
 from phsi_opt.data.file_opening import BinarySource, Source, opened_files
 from phsi_opt.data.headers import unit_of_header
-from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_frame
+from phsi_opt.data.tables import Table, numbers_in, rows_of_runs
 from phsi_opt.data.text_tables import TextFormat, table_of_csv
 from phsi_opt.data.times import (
     Moment,
@@ -257,7 +257,15 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with the row's label in the index.
         """
-        return cls.from_tables([table_of_frame(frame)], **words)
+        import pandas as pd
+
+        if not isinstance(frame, pd.DataFrame):
+            raise DataError(
+                f"frame is a {type(frame).__name__}; "
+                "expected a pandas.DataFrame (files: from_csv)."
+            )
+        table = Table("data frame", "row", frame, "run 1")
+        return cls.from_tables([table], **words)
 
     @classmethod
     def _from_files(

@@ -119,22 +119,6 @@ def chosen_part(
     return name
 
 
-def table_of_frame(frame: Any) -> Table:
-    """A user's data frame, which is not changed.
-
-    Raises:
-        DataError: this is no data frame.
-    """
-    import pandas as pd
-
-    if not isinstance(frame, pd.DataFrame):
-        raise DataError(
-            f"frame is a {type(frame).__name__}; "
-            "expected a pandas.DataFrame (files: from_csv)."
-        )
-    return Table("data frame", "row", frame, "run 1")
-
-
 def table_of_columns(
     file: Any, names: Sequence[Any], columns: Sequence[np.ndarray], **more: Any
 ) -> Table:

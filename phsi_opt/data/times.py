@@ -17,7 +17,6 @@ or begin with no such year.
 """
 
 import datetime as dt
-import itertools
 import re
 from collections.abc import Sequence
 from contextlib import suppress
@@ -127,15 +126,6 @@ def runs_of_clock(t: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
     step = np.median(steps[steps > 0]) if np.any(steps > 0) else 0.0
     is_near = np.abs(t[rows[1:]] - t[rows[:1]]) < step / 2
     return np.split(rows, np.flatnonzero((steps < 0) & is_near) + 1)
-
-
-def late_times(t: np.ndarray, runs: Sequence[np.ndarray]) -> list[list[int]]:
-    """The rows of each time that is not after the one before it, and of that one."""
-    late = []
-    for part in itertools.chain(*(runs_of_clock(t, rows) for rows in runs)):
-        pairs = np.column_stack([part[:-1], part[1:]])
-        late += pairs[np.diff(t[part]) <= 0].tolist()
-    return late
 
 
 def names_of_parts(run: str, n: int) -> list[str]:
@@ -333,13 +323,15 @@ def _check_increasing(
     runs: Sequence[np.ndarray],
 ) -> None:
     """Refuse a time of a run that is not after the one before it."""
-    for before, after in late_times(t, runs)[:1]:
-        own = next(rows for rows in runs if after in rows)
-        raise DataError(
-            f"{table.place(column, after)} {told[after]} is not after "
-            f"{told[before]} of {table.row(before)}; times must increase strictly. "
-            f"{_advice(table, t[own], before, after)}"
-        )
+    for own in runs:
+        for part in runs_of_clock(t, own):
+            for i in np.flatnonzero(np.diff(t[part]) <= 0)[:1]:
+                before, after = part[i : i + 2].tolist()
+                raise DataError(
+                    f"{table.place(column, after)} {told[after]} is not after "
+                    f"{told[before]} of {table.row(before)}; times must increase "
+                    f"strictly. {_advice(table, t[own], before, after)}"
+                )
 
 
 def _advice(table: Table, t: np.ndarray, before: int, after: int) -> str:

@@ -15,8 +15,6 @@ import numpy as np
 
 from phsi_opt.data.channel_noise import resolution
 from phsi_opt.data.checks import (
-    check_same_length,
-    check_unique,
     check_values,
     from_first,
     numbered_names,
@@ -116,19 +114,6 @@ def part_of(run: Trajectory, rows: slice) -> Trajectory:
 def run_numbers(runs: Sequence[Trajectory]) -> np.ndarray:
     """The number of the trajectory of each sample of all of them, (n_samples,)."""
     return np.repeat(np.arange(len(runs)), [run.n_samples for run in runs])
-
-
-def checked_trajectories(trajectories: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
-    """At least one trajectory, each under a name of its own, as a tuple.
-
-    Raises:
-        DataError: there is none, or a name is used twice.
-    """
-    listed = tuple(trajectories)
-    if not listed:
-        raise DataError("trajectories=[]; expected at least one Trajectory.")
-    check_unique([run.name for run in listed], "trajectory name")
-    return listed
 
 
 def check_channels(
@@ -290,8 +275,15 @@ def trajectories_in_arrays(
         for name, t_run in zip(names, t, strict=False):
             times = read_only_floats(t_run, 1, f"trajectory {name!r}: t")
             u.append(np.empty((len(times), 0)))
-    lists = {"t": t, "x": x, "u": u, "names": names}
-    check_same_length(lists, "one entry per trajectory")
+    lengths = {}
+    for what, values in {"t": t, "x": x, "u": u, "names": names}.items():
+        is_sized = np.iterable(values) and hasattr(values, "__len__")
+        lengths[what] = len(values) if is_sized else None
+    if len(set(lengths.values())) > 1:
+        raise DataError(
+            f"the lengths differ: {lengths}; expected one entry per trajectory. "
+            "Check that the lists belong together."
+        )
     return tuple(
         Trajectory(name, from_first(t_run, t[0]), x_run, u_run)
         for name, t_run, x_run, u_run in zip(names, t, x, u, strict=True)

@@ -45,7 +45,7 @@ from phsi_opt.page.parts import (
     said_by,
 )
 from phsi_opt.page.session import Session
-from phsi_opt.presentation.numbers import capitalised, number_of
+from phsi_opt.presentation.numbers import number_of
 from phsi_opt.study_file.columns import (
     INPUT,
     KEYS_OF_PARTS,
@@ -56,7 +56,7 @@ from phsi_opt.study_file.columns import (
     Column,
 )
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
-from phsi_opt.study_file.keys import KEYS_OF, listed
+from phsi_opt.study_file.keys import key_at, listed
 
 # ---- part 1: the measurements --------------------------------------------------------
 
@@ -231,8 +231,7 @@ class DataView:
         if data is None:
             return
         for section in USUAL_WAYS:
-            about = KEYS_OF[""][section].meaning.partition("; default")[0]
-            ui.label(f"{capitalised(about)}.").classes("faint")
+            ui.label(key_at(section).sentence).classes("faint")
             with ui.element("div").classes("fields"):
                 self._part(section, data.runs, data.parts[section])
 

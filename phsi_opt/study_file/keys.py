@@ -17,16 +17,16 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from phsi_opt.errors import Complaint, DataError, ModelError, did_you_mean
-from phsi_opt.presentation.numbers import shortened
+from phsi_opt.presentation.numbers import capitalised, shortened
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
 # The key, what it holds, what it is for; "*" stands for a name of the user's own.
 TABLE = """
-data | table | the measurements: files, columns, units, noise
+data | table | files and columns; paths are relative to this file
 held_out | table | the data not used for fitting, for a fair test; default: none
 final | table | data for a final test alone; default: one of 3 or more runs
 model | table | the base model: states, energy, losses, forces
-parameters | table | the parameters in the formulas
+parameters | table | the parameters: a number is fixed, start is a starting value
 effects | list of tables | effects of your own, as [[effects]]
 study | table | effects added so far; effects to consider or to exclude
 loss | table | the loss of the fit; default: maximum likelihood
@@ -146,6 +146,11 @@ class Key(NamedTuple):
     meaning: str
 
     @property
+    def sentence(self) -> str:
+        """What it is for, without the default."""
+        return f"{capitalised(self.meaning.partition('; default')[0])}."
+
+    @property
     def options(self) -> list[str]:
         """The words of a choice; none of another form."""
         return re.findall(r'"(\w+)"', self.form)
@@ -259,6 +264,12 @@ KEYS_OF: dict[str, dict[str, Key]] = {}  # by their table and name
 for _key in KEYS:
     _table, _, _name = _key.path.rpartition(".")
     KEYS_OF.setdefault(_table, {})[_name] = _key
+
+
+def key_at(path: str) -> Key:
+    """The key of a path such as ``"data.time"``."""
+    table, _, name = path.rpartition(".")
+    return KEYS_OF[table][name]
 
 
 # ---- what is wrong -------------------------------------------------------------------

@@ -52,14 +52,8 @@ def reader_of(path: Path | DataFile) -> str:
 class Channel:
     """A column of the table: a state, or an input.
 
-    Attributes:
-        column: its header, or its position counted from 0; None for a state that was
-            not measured.
-        unit: such as "m"; "" where it is unknown.
-        noise: standard deviation of a state's noise, in its unit; None: estimated.
-        hold: what an input does between samples; None: as the others.
-        clock: the column of its own times, where these are not those of the others.
-        measured: whether there is a column.
+    Attributes are called like the keys of a state or input, which docs/command_line.md
+    explains. ``column`` is None for a state that was not measured.
     """
 
     column: str | int | None = None
@@ -77,16 +71,10 @@ class Channel:
 @typed
 @dataclass(frozen=True)
 class Times:
-    """The column of the times.
+    """The column of the times, or the step between lines.
 
-    Attributes:
-        column: its header, or its position counted from 0; the headers of date, time of
-            day and milliseconds; None: there is a step.
-        unit: such as "s".
-        step: the time between neighbouring lines, if no column has the times.
-        start: the date at which t is 0.
-        date_format: format of dates other than 2021-11-22 09:15:00, see strptime, or
-            "excel" or "unix"; "": the times are numbers, even if they look like dates.
+    Attributes are called like the keys of the times, which docs/command_line.md
+    explains.
     """
 
     column: str | int | tuple[str, ...] | None = None
@@ -251,12 +239,8 @@ def table_at(
 class HeldOut:
     """The held-out data, selected in one of three ways; the other two are None.
 
-    Also describes the data for the final test.
-
-    Attributes:
-        runs: names of the runs held out; empty: no data for a final test.
-        share: the last share of the runs, or of the samples if there is a single run.
-        after: a time; the samples of every run from this time on.
+    Also describes the data for the final test. Attributes are called like the keys,
+    which docs/command_line.md explains.
     """
 
     runs: tuple[str, ...] | None = None
@@ -326,14 +310,13 @@ def _by_runs(
 
 @dataclass(frozen=True)
 class StudySection:
-    """The section [study]."""
+    """The section [study], with attributes called like its keys."""
 
-    added: tuple[str, ...] = ()  # names of the effects added so far, the oldest first
-    # names of those to consider; None: the catalogue, and the user's own
+    added: tuple[str, ...] = ()
     effects: tuple[str, ...] | None = None
-    without: tuple[str, ...] = ()  # names of those never to consider
-    max_steps: int = 4  # how many ``--auto`` adds at most, as `Study.auto`
-    title: str = ""  # of reports
+    without: tuple[str, ...] = ()
+    max_steps: int = 4
+    title: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.numbers import LINE_WIDTH
 from phsi_opt.presentation.units import scale_of
+from phsi_opt.study_file.keys import key_at
 from phsi_opt.study_file.sections import Sections, told, without
 from phsi_opt.study_file.toml_text import key_text, text_template, toml_value
 
@@ -32,24 +33,20 @@ HEAD = """\
 # Study file of phsi_opt: the data, the model and the added effects.
 # `phsi-opt check` reads it; docs/command_line.md lists every key.
 """
-# The tables with a header of their own, in their order, and what is said of them.
-COMMENTS = {
-    "data": "Files and columns; paths are relative to this file.",
-    "data.states": "Measured states: column, unit, and the noise if it is known.",
-    "data.inputs": "Inputs, known at every sample.",
-    "held_out": "Held-out data: used for tests, not for fitting.",
-    "final": "Data for a final test: not fitted, and not used to choose effects.",
-    "model": "dx/dt = (S - R) grad H + F; names in formulas are states, inputs, t,\n"
-    "# efforts such as dH_dp, and the parameters below.",
-    "model.R": "",
-    "model.F": "",
-    "model.sensor": "",
-    "parameters": "A number is a fixed value; start is a starting value.",
-    "effects": "An effect that is not in the catalogue.",
-    "study": "Effects added so far, in their order; effects to consider or to exclude.",
-    "loss": "How to fit.",
-}
-ABOUT_FIRST_ORDER = "dx/dt = F - R x; names in formulas are states, inputs, t and the"
+# The tables with a header of their own, in their order.
+WITH_HEADERS = (
+    *("data", "data.states", "data.inputs", "held_out", "final"),
+    *("model", "model.R", "model.F", "model.sensor", "parameters"),
+    *("effects", "study", "loss"),
+)
+ABOUT_ENERGY = (
+    "dx/dt = (S - R) grad H + F; names in formulas are states, inputs, t,\n"
+    "# efforts such as dH_dp, and the parameters below."
+)
+ABOUT_FIRST_ORDER = (
+    "dx/dt = F - R x; names in formulas are states, inputs, t and the\n"
+    "# parameters below."
+)
 
 
 def study_text(study: Sections) -> str:
@@ -58,16 +55,17 @@ def study_text(study: Sections) -> str:
     Raises:
         ModelError: a part has something that a study file cannot hold.
     """
-    about = dict(COMMENTS)
-    if not study.base.has_energy:
-        about["model"] = f"{ABOUT_FIRST_ORDER}\n# parameters below."
+    about = ABOUT_ENERGY if study.base.has_energy else ABOUT_FIRST_ORDER
     return f"{HEAD}\n{text_of(_content(study), about)}"
 
 
-def text_of(content: Mapping[str, Any], about: Mapping[str, str] | None = None) -> str:
-    """The text of the tables that are not empty, with comments ``about`` each."""
+def text_of(content: Mapping[str, Any], about_model: str = "") -> str:
+    """The text of the tables that are not empty.
+
+    With a comment about the model every table says what it is for, too.
+    """
     sections = []
-    for path in COMMENTS:
+    for path in WITH_HEADERS:
         name, _, below = path.partition(".")
         found = content.get(name) or {}
         for table in found if isinstance(found, list) else [found]:
@@ -75,7 +73,8 @@ def text_of(content: Mapping[str, Any], about: Mapping[str, str] | None = None) 
             entries = table.get(below) if below else table
             lines = list(_entries(path, entries)) if isinstance(entries, dict) else []
             if lines:
-                comment = [f"# {about[path]}"] if about and about[path] else []
+                said = about_model if path == "model" else key_at(path).sentence
+                comment = [f"# {said}"] if about_model else []
                 sections.append("\n".join([*comment, header, *lines]) + "\n")
     return "\n".join(sections)
 
@@ -83,7 +82,7 @@ def text_of(content: Mapping[str, Any], about: Mapping[str, str] | None = None) 
 def _entries(path: str, table: Mapping[str, Any]) -> Iterator[str]:
     """The lines of a table; a list that is too long for one has lines of its own."""
     for key, value in table.items():
-        if f"{path}.{key}" in COMMENTS and isinstance(value, dict):
+        if f"{path}.{key}" in WITH_HEADERS and isinstance(value, dict):
             continue
         line = f"{key_text(key)} = {toml_value(value)}"
         if len(line) > LINE_WIDTH and isinstance(value, list):

@@ -48,7 +48,7 @@ from phsi_opt.study_file.columns import (
 from phsi_opt.study_file.gallery import BaseModel, give_parts
 from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
 from phsi_opt.study_file.sections import DataSection, table_at
-from phsi_opt.study_file.study_text import COMMENTS, text_of
+from phsi_opt.study_file.study_text import text_of
 from phsi_opt.study_file.toml_text import tables_of, text_template, toml_value
 
 INPUT_WORDS = words_in(
@@ -441,7 +441,7 @@ def first_text(
         inputs = [one.name for one in table.of_part(INPUT)]
         model, parameters = base.sections(inputs)
         sections = {"model": model, "parameters": parameters}
-        physics = text_of(sections, {**COMMENTS, "model": base.equation})
+        physics = text_of(sections, base.equation)
         lacking = base.units
         for column in table.of_part(STATE):
             del lacking[column.name]
