@@ -104,7 +104,7 @@ class _Channels:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What two copies share: which samples were measured; of few the first."""
+        """What copies share, that is which samples there are; of few the first."""
         x = self.run.x
         first = repr((x[0] + 0.0).tolist())  # one kind of NaN and of zero
         what = (x.shape, self.run.u.shape, np.isfinite(x).tobytes())
