@@ -4,7 +4,6 @@ the names of its states and inputs.
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,6 +11,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.command_line.file_jobs import checked, first_study, gallery
+from phsi_opt.study_file.columns import Column
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
 from phsi_opt.study_file.keys import Complaints
 from phsi_opt.study_file.model_reading import ModelReader
@@ -41,9 +41,7 @@ N = 201
 def with_speed(base: BaseModel) -> BaseModel:
     """The base model as it is where its velocities were measured."""
     states = base.velocity["states"].items()
-    return base.seen_by(
-        [SimpleNamespace(name=name, unit=unit) for name, unit in states]
-    )
+    return base.seen_by([Column(name, name=name, unit=unit) for name, unit in states])
 
 
 SEEN = {**GALLERY}

@@ -39,7 +39,7 @@ class Unused(ModuleType):
         return type(name, (), {})
 
 
-class Channel(NamedTuple):
+class Signal(NamedTuple):
     """A channel that can be read, or the reason why it cannot be."""
 
     name: str
@@ -54,7 +54,7 @@ class Group:
 
     n_samples: int
     size: int  # bytes, as the file states them
-    channels: list[Channel] = field(default_factory=list)
+    channels: list[Signal] = field(default_factory=list)
 
 
 def read(
@@ -122,7 +122,7 @@ def _groups_of_mdf(content: Any) -> Iterator[tuple[str, Group]]:
             clock = mdf.groups[of].channels[master]
             why_not = why_refused(clock.conversion, is_old)
             times = partial(_times_in_mdf, mdf, number, clock, is_old)
-            group.channels.append(Channel(TIME, "s", times, why_not))
+            group.channels.append(Signal(TIME, "s", times, why_not))
         for index, one in enumerate(recorded.channels):
             if index == mdf.masters_db.get(number):
                 continue
@@ -134,7 +134,7 @@ def _groups_of_mdf(content: Any) -> Iterator[tuple[str, Group]]:
                 why_not = "its values are arrays, texts or bytes"
             unit = getattr(one.conversion, "unit", "") or getattr(one, "unit", "")
             values = partial(_values_in_mdf, mdf, number, index, is_old)
-            group.channels.append(Channel(one.name, unit, values, why_not))
+            group.channels.append(Signal(one.name, unit, values, why_not))
         yield getattr(header, "acq_name", "") or f"group {number + 1}", group
 
 
@@ -169,11 +169,11 @@ def _groups_of_tdms(content: Any) -> Iterator[tuple[str, Group]]:
             clock = (n, step, channel.properties.get("wf_start_offset"))
             group = by_clock.setdefault(clock, Group(n, 0))
             if step and not group.channels:
-                group.channels.append(Channel(TIME, "s", channel.time_track))
+                group.channels.append(Signal(TIME, "s", channel.time_track))
             group.size += n * (getattr(channel.data_type, "size", None) or 8)
             unit = channel.properties.get("unit_string")
             values = partial(_values_in_tdms, channel)
-            group.channels.append(Channel(channel.name, unit, values))
+            group.channels.append(Signal(channel.name, unit, values))
         for number, group in enumerate(by_clock.values(), 1):
             yield one.name if len(by_clock) == 1 else f"{one.name} {number}", group
 

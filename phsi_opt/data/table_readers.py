@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 # name -> column, or a list of names which are columns
-Header = str | int | float | dt.date | None  # None: it has no column
-Column = Header | list[Header] | tuple[Header, ...]  # several of date and time of day
-ColumnMap = Mapping[str, Column] | Sequence[str]
+Label = str | int | float | dt.date | None  # None: it has no column
+Labels = Label | list[Label] | tuple[Label, ...]  # several of date and time of day
+ColumnMap = Mapping[str, Labels] | Sequence[str]
 Part = tuple[str, ...]  # that a column plays, as a study file names it below [data]
 RUN_PART: Part = ("trajectory",)
 TIME_PART: Part = ("time", "column")
@@ -47,7 +47,7 @@ TIME_PART: Part = ("time", "column")
 class TableWords(TypedDict, total=False):
     """What every reader can be given, by the names that `from_csv` explains."""
 
-    time: Column
+    time: Labels
     states: Required[ColumnMap]
     inputs: ColumnMap | None
     hold: Hold
@@ -57,7 +57,7 @@ class TableWords(TypedDict, total=False):
     step: float | None
     start: Any
     date_format: str | None
-    clocks: Mapping[str, Header] | None
+    clocks: Mapping[str, Label] | None
 
 
 class TableError(DataError):
@@ -187,9 +187,7 @@ class TableReaders:
         "log.Y(3).Data". Rows are counted from 1.
 
         Args:
-            source: A path, a file opened for reading bytes, or several of them: then
-                each file is a trajectory of its own.
-            **words: The others, as in `from_excel`.
+            source, **words: As in `from_excel`.
 
         Raises:
             DataError: Something cannot be used; with file, column and row, and with
@@ -212,9 +210,8 @@ class TableReaders:
         other times are not resampled: one of them is read.
 
         Args:
-            source: A path, a file opened for reading bytes, or several of them.
             group: The group of channels; None: the only one.
-            **words: The others, as in `from_excel`.
+            source, **words: As in `from_excel`.
 
         Raises:
             DataError: Something cannot be used; with file, channel and row.
@@ -236,9 +233,7 @@ class TableReaders:
         or ``step``.
 
         Args:
-            source: A path, a file opened for reading bytes, or several of them.
-            group: The group of channels; None: the only one.
-            **words: The others, as in `from_excel`.
+            source, group, **words: As in `from_mdf`.
 
         Raises:
             DataError: Something cannot be used; with file, channel and row.

@@ -10,8 +10,6 @@ from nicegui import events, run, ui
 
 from phsi_opt.errors import Complaint
 from phsi_opt.page.drafts import (
-    ENERGY,
-    FIRST_ORDER,
     KEYS_OF_WAYS,
     MOST_FILES,
     MOST_UPLOADED,
@@ -57,6 +55,7 @@ from phsi_opt.study_file.columns import (
 )
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
 from phsi_opt.study_file.keys import key_at, listed
+from phsi_opt.study_file.model_reading import WITH_ENERGY, WITHOUT_ENERGY
 
 # ---- part 1: the measurements --------------------------------------------------------
 
@@ -271,8 +270,8 @@ STAYING_PLACE = "min-height: 2.5em; width: 100%"
 PARAMETER = "parameters.*"
 UNKNOWN = re.compile(r"'(\w+)' is not known here")  # what a formula has that is wrong
 MODEL_TYPES = {
-    ENERGY: "energy: dx/dt = (S - R) grad H + F",
-    FIRST_ORDER: "first order: dx/dt = F",
+    WITH_ENERGY: "energy: dx/dt = (S - R) grad H + F",
+    WITHOUT_ENERGY: "first order: dx/dt = F",
 }
 
 
@@ -345,7 +344,7 @@ class ModelView:
             with ui.element("div").classes("fields"):
                 choice("kind of model", MODEL_TYPES, draft.type, self._set_type)
                 fields(draft.table, "model", "states inputs", self._named)
-                if draft.type == ENERGY:
+                if draft.type == WITH_ENERGY:
                     fields(draft.table, "model", "pairs H", self.checked)
             self.by_state()
         with card():
@@ -373,7 +372,7 @@ class ModelView:
             label = f"d{name}/dt" if name in states else name
             with field_row():
                 ui.label(label).classes("formula").style("width: 5em")
-                if draft.type == ENERGY:
+                if draft.type == WITH_ENERGY:
                     fields(draft.table["R"], "model.R", "*", self.checked, name)
                 fields(draft.table["F"], "model.F", "*", self.checked, name)
 

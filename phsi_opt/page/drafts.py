@@ -27,6 +27,7 @@ from phsi_opt.study_file.keys import (
     listed,
     usable,
 )
+from phsi_opt.study_file.model_reading import WITH_ENERGY, WITHOUT_ENERGY
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.study_text import text_of
 from phsi_opt.study_file.survey import check_alike, survey
@@ -47,8 +48,6 @@ USUAL = "one of three or more runs"
 # Sections of data that are not fitted: the way that needs no words, and what it means.
 USUAL_WAYS = {"held_out": NOTHING, "final": USUAL}
 
-ENERGY = "PseudoHamiltonian"
-FIRST_ORDER = "FirstOrder"
 KEPT = ("effects", "study", "loss")  # sections that the page does not show
 
 # Bytes of one uploaded file. A table of a million numbers takes about 10 MB.
@@ -332,8 +331,8 @@ class ModelDraft:
 
     @property
     def type(self) -> str:
-        """``ENERGY`` or ``FIRST_ORDER``."""
-        return str(self.table.get("type", ENERGY))
+        """``WITH_ENERGY`` or ``WITHOUT_ENERGY``."""
+        return str(self.table.get("type", WITH_ENERGY))
 
     def names(self, what: str) -> list[str]:
         """The states or the inputs, each once."""
@@ -341,7 +340,7 @@ class ModelDraft:
 
     def content(self) -> Content:
         content: Content = {"pairs": [], "type": self.type, **self.table}
-        if self.type == FIRST_ORDER:
+        if self.type == WITHOUT_ENERGY:
             content = _without(content, "pairs", "H")
         if "S" in content:
             del content["pairs"]
@@ -438,16 +437,9 @@ def match_states(data: DataDraft, base: BaseModel) -> BaseModel:
     """
     for column in data.of_part(UNUSED):
         column.part = column.lost or UNUSED
-    base = base.seen_by(data.of_part(STATE))
     for column in data.columns:
-        column.lost = column.part
-    left = give_parts(data.columns, base)
-    data.unmeasured = base.units
-    for column in data.columns:
-        if column.part == STATE:
-            data.unmeasured.pop(column.name, None)
-        if column not in left:
-            column.lost = ""
+        column.lost = ""
+    base, data.unmeasured = give_parts(data.columns, base)
     return base
 
 

@@ -35,7 +35,6 @@ UNUSED = "left out"
 KEYS_OF_PARTS = {TIME: "data.time", STATE: "data.states.*", INPUT: "data.inputs.*"}
 PERHAPS_INPUT = "perhaps an input"
 DATES = "dates"
-MOSTLY = 0.5  # share of the filled cells above which a column is of numbers, or dates
 DAYS = (  # which ISO 8601 does not have
     *("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%Y/%m/%d", "%d-%b-%Y"),
     *("%d.%m.%y", "%d/%m/%y", "%m/%d/%y"),
@@ -164,12 +163,12 @@ class SeenColumn(Column):
         """Say how texts are dates: of what fits, where they lie closest together."""
         found = []
         for form in DATE_FORMATS:
-            if _share_of_dates(cells[:50], form) > MOSTLY:
+            if _share_of_dates(cells[:50], form) > 0.5:
                 dates = _dates(cells, form)
                 share = float(dates.notna().mean())
                 found.append((-share, dates.max() - dates.min(), form))
         found.sort()
-        best = [form for share, _, form in found if share == found[0][0] < -MOSTLY]
+        best = [form for share, _, form in found if share == found[0][0] < -0.5]
         self.date_format, self.other_format = (*best, "", "")[:2]
 
     def becomes(self, part: str, remark: str = "") -> None:
@@ -261,7 +260,7 @@ def _look_at(column: SeenColumn, table: Table, n_of_this_name: int) -> str:
         return f"{n_of_this_name} columns have this name"
     if not column.column:
         return "no name in the header"
-    column.is_numeric = bool(is_number.sum() > MOSTLY * filled.sum())
+    column.is_numeric = bool(is_number.sum() > 0.5 * filled.sum())
     if not column.is_numeric:
         return _look_at_texts(column)
     values = np.where(is_number, numbers, np.nan)
@@ -300,22 +299,17 @@ def _joined(*parts: str) -> str:
     return "; ".join(filter(None, parts))
 
 
-def _shown(cell: str) -> str:
-    """A cell in quotes, cut where it is long."""
-    return f'"{shortened(" ".join(cell.split()), 20)}"'
-
-
 def _look_at_texts(column: SeenColumn) -> str:
     """What is in a column of dates, or of texts, which are left out."""
     cells = column.cells[~column.is_missing]
     some = cells[:50]  # more would tell nothing else
-    if some.str.contains(TWO_NUMBERS).mean() > MOSTLY:
+    if some.str.contains(TWO_NUMBERS).mean() > 0.5:
         column.take_dates_of(cells)
-        if column.date_format or _share_of_dates(some, "mixed") > MOSTLY:
+        if column.date_format or _share_of_dates(some, "mixed") > 0.5:
             return DATES
     different = some.unique()
-    more = ", ..." if len(different) > 3 else ""
-    return f"text: {', '.join(map(_shown, different[:3]))}{more}"
+    shown = [f'"{shortened(" ".join(cell.split()), 20)}"' for cell in different[:3]]
+    return f"text: {', '.join([*shown, '...'] if len(different) > 3 else shown)}"
 
 
 def _share_of_dates(cells: pd.Series, form: str) -> float:

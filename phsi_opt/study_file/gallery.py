@@ -17,7 +17,7 @@ from phsi_opt.arguments import require_known
 from phsi_opt.errors import DataError
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.presentation.units import measure_of
-from phsi_opt.study_file.columns import INPUT, STATE, UNUSED
+from phsi_opt.study_file.columns import INPUT, STATE, UNUSED, Column
 
 OR_ANY = " or any"  # behind the unit of an input whose coefficient takes up its unit
 
@@ -66,7 +66,7 @@ class BaseModel:
         states, inputs = map(with_units, (self.units, self.input_units))
         return f"states {states}; inputs {inputs}"
 
-    def seen_by(self, columns: Sequence[Any]) -> "BaseModel":
+    def seen_by(self, columns: Sequence[Column]) -> "BaseModel":
         """The model in position and velocity if one of the columns is a velocity."""
         states = self.velocity.get("states", {})
         further = {name: states[name] for name in states if name not in self.states}
@@ -120,11 +120,16 @@ GALLERY = {
 # ---- columns for its states and inputs -----------------------------------------------
 
 
-def give_parts(columns: Sequence[Any], base: BaseModel) -> list[Any]:
-    """Let columns be states and inputs of a base model; those that it has no place for.
+def give_parts(
+    columns: Sequence[Column], base: BaseModel
+) -> tuple[BaseModel, dict[str, str]]:
+    """Let columns be states and inputs of a base model; others are left out as lost.
 
-    These are left out. A column is a `Column` of a survey, or what a user said of one.
+    Returns:
+        The model, in position and velocity if that was measured, and the units of its
+        states that no column has.
     """
+    base = base.seen_by([one for one in columns if one.part == STATE])
     left = [one for one in columns if one.part in (STATE, INPUT)]
     for part, units in base.places:
         is_state = part == STATE
@@ -135,15 +140,20 @@ def give_parts(columns: Sequence[Any], base: BaseModel) -> list[Any]:
             column.part = part
             column.name = name
     for column in left:
+        column.lost = column.part
         column.part = UNUSED
-    return left
+    lacking = base.units
+    for column in columns:
+        if column.part == STATE:
+            del lacking[column.name]
+    return base, lacking
 
 
 def matched(
-    columns: Sequence[Any],
+    columns: Sequence[Column],
     units: Mapping[str, str],
-    may_guess: Callable[[Any], bool] = lambda column: True,
-) -> list[tuple[Any, str]]:
+    may_guess: Callable[[Column], bool] = lambda column: True,
+) -> list[tuple[Column, str]]:
     """Columns with their names in a model: by name, by quantity, or by a guess."""
     found = []
     free = dict(units)
@@ -161,17 +171,17 @@ def matched(
     return found
 
 
-def _is_same(column: Any, wanted: tuple[str, str]) -> bool:
+def _is_same(column: Column, wanted: tuple[str, str]) -> bool:
     called = re.sub(r"\W|_", "", column.name).lower()
     is_possible = _is_perhaps_same(column, wanted) or _is_same_quantity(column, wanted)
     return called == wanted[0].lower() and is_possible
 
 
-def _is_same_quantity(column: Any, wanted: tuple[str, str]) -> bool:
+def _is_same_quantity(column: Column, wanted: tuple[str, str]) -> bool:
     """Whether two units are of one quantity: m and mm are."""
     first, second = map(measure_of, (column.unit, wanted[1].removesuffix(OR_ANY)))
     return first is not None and second is not None and first.powers == second.powers
 
 
-def _is_perhaps_same(column: Any, wanted: tuple[str, str]) -> bool:
+def _is_perhaps_same(column: Column, wanted: tuple[str, str]) -> bool:
     return not column.unit or wanted[1].endswith(OR_ANY)

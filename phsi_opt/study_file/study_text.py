@@ -195,12 +195,6 @@ def shared_parameters(
 
 IN_SCRIPT = "parameters"  # the variable in which the script keeps them
 INDENT = "    "
-SCRIPT_BEGIN = '''\
-"""A study of phsi_opt, as a script."""
-
-from pathlib import Path
-
-import phsi_opt as ph'''
 
 
 class Code(str):
@@ -284,14 +278,14 @@ def study_script(study: Sections) -> str:
     settings = told(study) | {"base": Code("model"), "folder": Code("FOLDER")}
     settings["data"] = replace(study.data, places={})
     settings.pop("unwritten", None)  # its table is among the files
-    body = text_template("study_script.py.jinja").render(
+    return text_template("study_script.py.jinja").render(
         parameters={name: _short(one) for name, one in shared.items()},
         kind=type(study.base).__name__,
         parts=parts,
         settings=settings,
         call=source.call,
+        imports=source.imports,
     )
-    return "\n".join([SCRIPT_BEGIN, *sorted(source.imports), "", body])
 
 
 def _short(parameter: Parameter) -> Any:

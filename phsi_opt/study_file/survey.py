@@ -434,17 +434,15 @@ def first_text(
     physics = ""
     lacking: dict[str, str] = {}
     if base is not None:
-        base = base.seen_by(table.of_part(STATE))
-        for column in give_parts(table.columns, base):
-            column.name = ""
-            column.becomes(UNUSED, f"the model {base.name} has no place for it")
+        base, lacking = give_parts(table.columns, base)
+        for column in table.columns:
+            if column.lost:
+                column.name = ""
+                column.becomes(UNUSED, f"the model {base.name} has no place for it")
         inputs = [one.name for one in table.of_part(INPUT)]
         model, parameters = base.sections(inputs)
         sections = {"model": model, "parameters": parameters}
         physics = text_of(sections, base.equation)
-        lacking = base.units
-        for column in table.of_part(STATE):
-            del lacking[column.name]
     places = []
     for file in files:  # as the folder calls it; absolute where that was meant
         place = Path(os.path.relpath(*map(os.path.realpath, (file, folder))))
