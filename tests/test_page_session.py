@@ -21,7 +21,6 @@ from phsi_opt.page.draft_views import EXAMPLES, unknown_names
 from phsi_opt.page.drafts import (
     MOST_UPLOADED,
     NOTHING,
-    RUNS,
     DataDraft,
     draft_of,
     match_states,
@@ -290,11 +289,11 @@ def test_the_run_for_the_end_is_chosen_like_those_held_out(session: Session) -> 
     content = session.draft.content()
     assert (content["held_out"], content["final"]) == ({"share": 0.3}, {})
     final["runs"] = ["run 1"]
-    for way, told in ((RUNS, ["run 1"]), (NOTHING, [])):
+    for way, told in (("runs", ["run 1"]), (NOTHING, [])):
         final["way"] = way
         assert session.check() == ()
         assert session.draft.content()["final"] == {"runs": told}
-    data.parts["held_out"]["way"] = final["way"] = RUNS
+    data.parts["held_out"]["way"] = final["way"] = "runs"
     data.parts["held_out"]["runs"] = ["run 1"]
     (found,) = session.check()
     assert found.key.split(".")[0] in ("held_out", "final"), found

@@ -10,16 +10,15 @@ from nicegui import events, run, ui
 
 from phsi_opt.errors import Complaint
 from phsi_opt.page.drafts import (
-    KEYS_OF_WAYS,
     MOST_FILES,
     MOST_UPLOADED,
     NOTHING,
     PARTS_OF_COLUMNS,
-    RUNS,
     STUDY_KIND,
     TABLE_KINDS,
     USUAL,
     USUAL_WAYS,
+    WAYS,
     Content,
     DataDraft,
     ModelDraft,
@@ -244,11 +243,12 @@ class DataView:
             part["runs"] = list(e.value)
             await self.checked()
 
-        ways = {one: one for one in (USUAL_WAYS[section], *KEYS_OF_WAYS, NOTHING)}
+        known = (USUAL_WAYS[section], *WAYS, NOTHING)
+        ways = {one: WAYS.get(one, one) for one in known}
         if USUAL in ways and len(runs) < 3:
             ways[USUAL] = "nothing, as there are few runs"
         choice(label_of(section), ways, part["way"], set_way)
-        if part["way"] == RUNS:
+        if part["way"] == "runs":
             chosen = set(listed(part.get("runs", ())))
             field = ui.select(
                 runs,
@@ -258,8 +258,8 @@ class DataView:
                 on_change=set_runs,
             )
             field.props("dense outlined use-chips").style("min-width: 14em")
-        elif part["way"] in KEYS_OF_WAYS:
-            fields(part, section, KEYS_OF_WAYS[part["way"]], self.checked)
+        elif part["way"] in WAYS:
+            fields(part, section, part["way"], self.checked)
 
 
 # ---- part 2: the base model, picked or written, with a live check --------------------

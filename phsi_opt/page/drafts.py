@@ -37,13 +37,10 @@ Content = dict[str, Any]
 
 PARTS_OF_COLUMNS = (TIME, RUN, STATE, INPUT, UNUSED)  # that a column may be
 CHANNELS = {STATE: "states", INPUT: "inputs"}  # sections of [data]
-KEYS_OF_COLUMNS = ("files", "trajectory", "time", *CHANNELS.values())
 
+# How data are chosen that are not fitted: by one of these keys, or without words.
+WAYS = {"share": "the last part", "after": "from a time on", "runs": "runs by name"}
 NOTHING = "nothing"
-SHARE = "the last part"
-AFTER = "from a time on"
-RUNS = "runs by name"
-KEYS_OF_WAYS = {SHARE: "share", AFTER: "after", RUNS: "runs"}
 USUAL = "one of three or more runs"
 # Sections of data that are not fitted: the way that needs no words, and what it means.
 USUAL_WAYS = {"held_out": NOTHING, "final": USUAL}
@@ -118,8 +115,7 @@ def way_of(section: str, told: Mapping[str, Any]) -> str:
     """In which way data are held out, or kept for the end, as a study file says it."""
     if told.get("runs") == []:
         return NOTHING
-    found = (way for way, key in KEYS_OF_WAYS.items() if key in told)
-    return next(found, USUAL_WAYS[section])
+    return next(filter(told.__contains__, WAYS), USUAL_WAYS[section])
 
 
 @dataclass
@@ -134,7 +130,7 @@ class DataDraft:
     # The sections of ``USUAL_WAYS``, each with the way in which its data are chosen.
     parts: dict[str, Content] = field(
         default_factory=lambda: {
-            "held_out": {"way": SHARE, "share": 0.3},
+            "held_out": {"way": "share", "share": 0.3},
             "final": {"way": USUAL},
         }
     )
@@ -162,7 +158,8 @@ class DataDraft:
         by_column = {column.column: column for column in draft.columns}
         for column in draft.columns:
             column.part = UNUSED
-        draft.settings = _without(data, *KEYS_OF_COLUMNS, "hold")
+        others = ("files", "trajectory", "time", "hold", *CHANNELS.values())
+        draft.settings = _without(data, *others)
         draft.time = {}
         told = [(TIME, "", data["time"])]
         if "trajectory" in data:
@@ -406,10 +403,9 @@ class StudyDraft:
         if self.data is not None:
             content["data"] = self.data.content(self.model.names("states"))
             for name, part in self.data.parts.items():
-                key = KEYS_OF_WAYS.get(part["way"], "runs")
-                is_usual = part["way"] == USUAL_WAYS[name]
-                kept = [] if part["way"] == NOTHING else part.get(key, "")
-                content[name] = {} if is_usual else {key: kept}
+                way = part["way"]
+                told = {way: part.get(way, "")} if way in WAYS else {"runs": []}
+                content[name] = {} if way == USUAL_WAYS[name] else told
         named = {}
         for one in self.model.parameters:
             named[one.get("name", "")] = _without(one, "name", "is_assumed")
