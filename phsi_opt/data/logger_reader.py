@@ -48,6 +48,9 @@ class Signal(NamedTuple):
     why_not: str = ""
 
 
+NAME_OF = attrgetter("name")
+
+
 @dataclass
 class Group:
     """Channels with common times."""
@@ -77,13 +80,13 @@ def read(
         groups[f"{name} {len(groups) + 1}" if name in groups else name] = group
     filled = []
     for name, group in groups.items():
-        if group.n_samples and {one.name for one in group.channels} - {TIME}:
+        if group.n_samples and set(map(NAME_OF, group.channels)) - {TIME}:
             filled.append(name)
     filled.sort(key=lambda name: -groups[name].n_samples)
     part = chosen_part(part, filled, filled, "group", title, may_be_several)
     group = groups[part]
     check_size(group.size, most, "of samples")
-    names = {one.name for one in group.channels}
+    names = set(map(NAME_OF, group.channels))
     wanted = asked if asked is not None and names.issuperset(asked) else names
     chosen = [one for one in group.channels if one.name in wanted]
     columns = list(itertools.filterfalse(attrgetter("why_not"), chosen))
@@ -95,7 +98,7 @@ def read(
                 f"be read: {one.why_not}. Export it as numbers."
             )
     return {
-        "names": [one.name for one in columns],
+        "names": list(map(NAME_OF, columns)),
         "units": [str(one.unit or "") for one in columns],
         "parts": sorted(filled, key=lambda name: name != part),
         "further": [(one.name, one.why_not) for one in others],

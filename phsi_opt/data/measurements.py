@@ -484,10 +484,12 @@ class Measurements(TableReaders, Summarised):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because a mappingproxy cannot be pickled."""
-        values = [getattr(self, one.name) for one in fields(self)]
-        return type(self), tuple(
-            dict(one) if isinstance(one, MappingProxyType) else one for one in values
-        )
+        arguments = []
+        for one in fields(self):
+            value = getattr(self, one.name)
+            is_mapping = isinstance(value, MappingProxyType)
+            arguments.append(dict(value) if is_mapping else value)
+        return type(self), tuple(arguments)
 
 
 # ---- parts ---------------------------------------------------------------------------

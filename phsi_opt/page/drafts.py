@@ -247,7 +247,8 @@ def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
     draft.runs = list(dict.fromkeys(draft.runs))
     draft.sheets = seen[0].table.sheets
     draft.settings = {one.key: one.content for one in seen[0].read if one.is_set}
-    draft.columns = [column.without_cells() for column in seen[0].columns]
+    for column in seen[0].columns:
+        draft.columns.append(column.without_cells())
     return draft
 
 

@@ -91,8 +91,10 @@ class Column(Header):
 
     def content(self) -> dict[str, Any]:
         """What a study file says of it as the part that it is."""
-        keys = KEYS_OF[KEYS_OF_PARTS[self.part]]
-        return without({key: getattr(self, key, "") for key in keys}, "")
+        content = {}
+        for key in KEYS_OF[KEYS_OF_PARTS[self.part]]:
+            content[key] = getattr(self, key, "")
+        return without(content, "")
 
 
 TOLD = ("date_format", "hold", "clock", "noise", "measured", "start")
@@ -155,9 +157,11 @@ class SeenColumn(Column):
 
     def without_cells(self) -> Column:
         """The same for a user to correct."""
-        kept = {one.name: getattr(self, one.name) for one in fields(Column)}
-        examples = tuple(self.cells[:3])
-        return Column(**{**kept, "column": self.source, "examples": examples})
+        column = Column(self.source)
+        for one in fields(Column)[1:]:
+            setattr(column, one.name, getattr(self, one.name))
+        column.examples = tuple(self.cells[:3])
+        return column
 
     def take_dates_of(self, cells: pd.Series) -> None:
         """Say how texts are dates: of what fits, where they lie closest together."""
@@ -308,8 +312,11 @@ def _look_at_texts(column: SeenColumn) -> str:
         if column.date_format or _share_of_dates(some, "mixed") > 0.5:
             return DATES
     different = some.unique()
-    shown = [f'"{shortened(" ".join(cell.split()), 20)}"' for cell in different[:3]]
-    return f"text: {', '.join([*shown, '...'] if len(different) > 3 else shown)}"
+    shown = []
+    for cell in different[:3]:
+        shown.append(f'"{shortened(" ".join(cell.split()), 20)}"')
+    more = ", ..." if len(different) > 3 else ""
+    return f"text: {', '.join(shown)}{more}"
 
 
 def _share_of_dates(cells: pd.Series, form: str) -> float:

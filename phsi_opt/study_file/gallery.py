@@ -129,7 +129,7 @@ def give_parts(
         The model, in position and velocity if that was measured, and the units of its
         states that no column has.
     """
-    base = base.seen_by([one for one in columns if one.part == STATE])
+    base = base.seen_by(list(filter(lambda one: one.part == STATE, columns)))
     left = [one for one in columns if one.part in (STATE, INPUT)]
     for part, units in base.places:
         is_state = part == STATE
