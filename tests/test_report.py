@@ -510,8 +510,8 @@ def test_every_chart_has_a_picture_with_words_for_paper(page: str) -> None:
     reader = Reader(page)
     live = [one for one in reader.all("div") if one.get("class") == "live"]
     still = [one for one in reader.all("img") if one.get("class") == "still"]
-    # staircase, runs, all data, the law of the friction, and three of the missing force
-    assert len(live) == len(still) == 7
+    # staircase, runs, all data, the law of the friction, and two of the missing force
+    assert len(live) == len(still) == 6
     for one in still:
         assert one["alt"] and len(one["alt"]) > 30
         svg = base64.b64decode((one["src"] or "").split(",")[1]).decode()

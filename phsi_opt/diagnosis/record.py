@@ -260,7 +260,7 @@ class Diagnosis(Summarised):
         return drawn(force_chart(runs, time.unit), title, ax)
 
     def figure(self, equation: str | None = None) -> "Figure":
-        """Missing force over time and states, its dependence, and its spectrum.
+        """Missing force over time, and against what it follows.
 
         Args:
             equation: state in whose equation the force acts; default: the one whose

@@ -152,14 +152,6 @@ class EquationForce(Force):
         good = rows["variable"][rows["share"] > rows["share"].iloc[0] - NAMED_CAUSE]
         return str([*good[good != TIME_NAME], TIME_NAME][0])
 
-    @property
-    def map_variables(self) -> list[str]:
-        """Position and velocity of a momentum, or else the best states, for a map."""
-        if self.position:
-            return [self.position, f"dH_d{self.equation}"]
-        states = self.record.model.states
-        return [name for name in self.follows["variable"] if name in states][:2]
-
     @cached_property
     def inertia(self) -> str:
         """What divides the forces of its equation; "" where no fit determines it."""

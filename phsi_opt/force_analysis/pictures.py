@@ -1,4 +1,4 @@
-"""Pictures of a missing force: over time, over states, against what it follows.
+"""Pictures of a missing force: over time, and against what it follows.
 
 Each is a record that page, report and axes draw alike; `plot_where` has them all in one
 figure.
@@ -18,7 +18,6 @@ from phsi_opt.presentation.content import (
     TRAINING,
     Follows,
     Force,
-    ForceMap,
     ForceRun,
     thinned,
 )
@@ -47,7 +46,6 @@ def force_of(force: EquationForce, time: Scale) -> Force:
         force.quantity,
         force_runs(force, TRAINING, time),
         force.record.along.runs.index(force.window.trajectory),
-        map_of(force),
         follows_of(force),
     )
 
@@ -68,25 +66,6 @@ def force_runs(force: EquationForce, part: str, time: Scale) -> tuple[ForceRun, 
         known = (name, part, force.equation, force.quantity, scale.unit)
         runs.append(ForceRun(*known, t, w, std, origin))
     return tuple(runs)
-
-
-def map_of(force: EquationForce) -> ForceMap | None:
-    """The mean force over the two variables of its map; None where there is one."""
-    names = force.map_variables
-    if len(names) < 2:
-        return None
-    from scipy.stats import binned_statistic_2d  # slow to load
-
-    values = map(force.told, names[:2])
-    found = binned_statistic_2d(*values, force.w / force.scale.size, "mean", bins=14)
-    return ForceMap(
-        force.variable_label(names[0]),
-        force.variable_label(names[1]),
-        label(f"mean missing {force.quantity}", force.scale.unit),
-        (found.x_edge[:-1] + found.x_edge[1:]) / 2,
-        (found.y_edge[:-1] + found.y_edge[1:]) / 2,
-        found.statistic.T,
-    )
 
 
 def follows_of(
@@ -143,29 +122,19 @@ def _dependence_words(force: EquationForce, variable: str) -> str:
 
 
 def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure":
-    """Force over time, over states, and against what it follows, in one figure."""
+    """Force over time, and against what it follows, in one figure."""
     import matplotlib.pyplot as plt
 
-    from phsi_opt.presentation.charts import (
-        draw,
-        follows_chart,
-        force_chart,
-        map_chart,
-        set_title,
-    )
+    from phsi_opt.presentation.charts import draw, follows_chart, force_chart, set_title
 
     force = analysis.force_in(equation)
     time = scale_of_time(float(force.record.t.max()), force.record.units.get("t", ""))
     found = force_of(force, time)
-    panels = [
+    panels = (
         (force_chart([found.runs[found.shown]], time.unit), when_answer(force).lead),
         (follows_chart(found.follows), found.follows.sentence),
-    ]
-    if found.map is not None:
-        panels.insert(1, (map_chart(found.map), "Mean over the states"))
-    figure, axes = plt.subplots(
-        1, len(panels), figsize=(15.0, 5.0), layout="constrained"
     )
+    figure, axes = plt.subplots(1, 2, figsize=(12.0, 5.0), layout="constrained")
     for ax, (chart, title) in zip(axes, panels, strict=True):
         draw(ax, chart)
         set_title(ax, fill(title, width=50), fontsize=10)

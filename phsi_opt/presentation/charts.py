@@ -23,7 +23,6 @@ from phsi_opt.presentation.content import (
     Channel,
     ErrorStep,
     Follows,
-    ForceMap,
     ForceRun,
     Run,
     StudyContent,
@@ -74,12 +73,9 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-CLOSE = 0.1  # of the movement: curves that are nearer are hardly told apart
-THINNEST = 0.005  # noise over the largest residual, of a band that is seen
 FROM_ZERO = "from zero"
 LOG = "log"
 FREE = "free"
-LEGEND_COLUMNS = 3
 Mark = tuple[float, str]  # a time, with what it is called
 
 
@@ -116,15 +112,14 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Panels one below the other, or a ``map`` in place of them."""
+    """Panels one below the other."""
 
     x_label: str
-    panels: tuple[Panel, ...] = ()
+    panels: tuple[Panel, ...]
     title: str = ""
     # Lines of text on the first axis, in place of numbers.
     ticks: tuple[list[str], ...] = ()
     mark: Mark | None = None  # a place on it
-    map: ForceMap | None = None
 
 
 # ---- what is drawn -------------------------------------------------------------------
@@ -192,8 +187,9 @@ def channel_panels(one: Channel, names: Sequence[str]) -> tuple[Panel, Panel]:
         curves.append(replace(curve, name="", group=curve.name))
     largest = np.nanmax(np.abs(np.concatenate([[0.0], *residuals])))
     sigma = one.noise or 0.0
-    noise = 2 * sigma if sigma > THINNEST * largest else None
-    height = 1.4 if one.change < CLOSE else 0.5  # more where the curves are close
+    noise = 2 * sigma if sigma > 0.005 * largest else None  # of a band that is seen
+    # More where curves are hardly told apart.
+    height = 1.4 if one.change < 0.1 else 0.5
     below = Panel(label("residual", one.unit), curves, noise=noise, height=height)
     measured = Curve("measured", one.t, one.measured, MEASURED, POINTS)
     shown = _of_models(names, one.t, one.models)
@@ -242,11 +238,6 @@ def follows_chart(found: Follows) -> Chart:
     return Chart(found.x_label, (Panel(found.y_label, (dots, through)),))
 
 
-def map_chart(found: ForceMap) -> Chart:
-    """A mean force over two variables."""
-    return Chart(found.x_label, map=found)
-
-
 def time_label(unit: str, origin: dt.datetime | None) -> str:
     """The label of an axis of time, with the date at which the time is 0."""
     date = date_words(0.0, origin)
@@ -264,15 +255,12 @@ def _short(name: str) -> str:
 def figure(value: Any) -> Any:
     """What ``chart.js`` draws: a chart, or a part of it, as JSON; None for NaN."""
     if isinstance(value, np.ndarray):
-        return rounded(value) if value.ndim == 1 else list(map(rounded, value))
+        return rounded(value)
     if isinstance(value, list | tuple):
         return list(map(figure, value))
     if isinstance(value, Mapping):
         return {name: figure(one) for name, one in value.items()}
-    if not is_dataclass(value):
-        return value
-    largest = {"largest": value.largest} if isinstance(value, ForceMap) else {}
-    return figure(vars(value) | largest)
+    return figure(vars(value)) if is_dataclass(value) else value
 
 
 def rounded(curve: np.ndarray) -> list[float | None]:
@@ -305,7 +293,7 @@ def svg(chart: Chart) -> str:
 
 def _size(chart: Chart, width: float) -> tuple[float, float]:
     """The size of its figure in inches."""
-    return width, 1.0 + 2.4 * (sum(panel.height for panel in chart.panels) or 1.0)
+    return width, 1.0 + 2.4 * sum(panel.height for panel in chart.panels)
 
 
 def axes_of(ax: Axes | None, size: tuple[float, float]) -> Axes:
@@ -332,7 +320,7 @@ def _rows_of(ax: Axes, heights: Sequence[float]) -> list[Axes]:
 
 def drawn(chart: Chart, title: str = "", ax: Axes | None = None) -> Axes:
     """All panels of a chart below each other, the first one on axes."""
-    heights = [panel.height for panel in chart.panels] or [1.0]
+    heights = [panel.height for panel in chart.panels]
     ax = axes_of(ax, _size(chart, 8.0))
     rows = _rows_of(ax, heights) if len(heights) > 1 else [ax]
     for place, row in enumerate(rows):
@@ -348,16 +336,13 @@ def drawn(chart: Chart, title: str = "", ax: Axes | None = None) -> Axes:
 def set_title(ax: Axes, title: str, **look: Any) -> None:
     """Above the legend."""
     legend = ax.get_legend()
-    n_rows = -(-len(legend.get_texts()) // LEGEND_COLUMNS) if legend else 0
+    n_rows = math.ceil(len(legend.get_texts()) / 3) if legend else 0
     ax.set_title(title, pad=6 + 14 * n_rows, **look)  # points, above the legend
 
 
 def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
-    """Draw the panel of a number, or the map."""
+    """Draw the panel of a number."""
     ax.set_xlabel(_short(chart.x_label))
-    if chart.map is not None:
-        _draw_map(ax, chart.map)
-        return
     panel = chart.panels[place]
     for curve in panel.curves:
         _draw_curve(ax, curve)
@@ -380,7 +365,7 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
         # A handle is as long as the longest marker.
         room: Any = {"handlelength": 3.5, "columnspacing": 1.2}
         room |= {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderaxespad": 0}
-        ax.legend(frameon=False, fontsize=8, ncols=LEGEND_COLUMNS, **room)
+        ax.legend(frameon=False, fontsize=8, ncols=3, **room)
 
 
 def _draw_curve(ax: Axes, curve: Curve) -> None:
@@ -395,12 +380,3 @@ def _draw_curve(ax: Axes, curve: Curve) -> None:
         look = {"ha": "center", "va": place, "color": curve.color}
         look |= {"xytext": (0, offset), "textcoords": "offset points"}
         ax.annotate(text, (curve.x[k], curve.y[k]), **look)
-
-
-def _draw_map(ax: Axes, found: ForceMap) -> None:
-    """Mean force in cells of two variables; red is positive, blue negative."""
-    mean = np.ma.masked_invalid(found.force)
-    mesh = ax.pcolormesh(found.x, found.y, mean, shading="nearest", cmap="RdBu_r")
-    mesh.set_clim(-found.largest, found.largest)
-    ax.figure.colorbar(mesh, ax=ax, label=_short(found.label))
-    ax.set_ylabel(_short(found.y_label))

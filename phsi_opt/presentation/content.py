@@ -239,24 +239,6 @@ class ForceRun:
 
 
 @dataclass(frozen=True, eq=False)
-class ForceMap:
-    """Mean force over two variables: middles of the cells, and (n_y, n_x) values."""
-
-    x_label: str
-    y_label: str
-    label: str
-    x: np.ndarray
-    y: np.ndarray
-    force: np.ndarray
-
-    @property
-    def largest(self) -> float:
-        """The largest size of a value; 1 where none is known."""
-        known = np.abs(self.force[np.isfinite(self.force)])
-        return float(known.max(initial=0.0)) or 1.0
-
-
-@dataclass(frozen=True, eq=False)
 class Follows:
     """A force against a variable: (n,) points, (n_bins,) mean and spread in bins."""
 
@@ -280,7 +262,6 @@ class Force:
     quantity: str  # as of its runs
     runs: tuple[ForceRun, ...]  # along the training runs
     shown: int  # number of the run to show first
-    map: ForceMap | None  # over the states; None where there is only one
     follows: Follows  # against what predicts it best
 
 

@@ -19,7 +19,6 @@ from phsi_opt.presentation.charts import (
     figure,
     follows_chart,
     force_chart,
-    map_chart,
     run_chart,
     svg,
 )
@@ -57,8 +56,6 @@ def _places(
             several[f"{name}-time"] = along
             charts[f"{name}-time"] = along[force.shown][0]
             charts[f"{name}-follows"] = follows_chart(force.follows)
-            if force.map is not None:
-                charts[f"{name}-map"] = map_chart(force.map)
     return charts, several
 
 

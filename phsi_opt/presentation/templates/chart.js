@@ -7,7 +7,7 @@ function phsiChart(host, chart) {
   const curves = chart.panels.flatMap((panel) => panel.curves);
   const hidden = new Set(curves.filter((curve) => !curve.is_shown).map((curve) => curve.group || curve.name));
   const seen = (panel) => panel.curves.filter((curve) => !hidden.has(curve.group || curve.name));
-  const whole = chart.ticks.length ? [-0.5, chart.ticks.length - 0.5] : chart.map ? edges(chart.map.x) : reach(curves.flatMap((curve) => ends(curve.x)));
+  const whole = chart.ticks.length ? [-0.5, chart.ticks.length - 0.5] : reach(curves.flatMap((curve) => ends(curve.x)));
   const size = () => `${host.clientWidth} ${host.clientHeight}`;
   let range = whole, drawnAt = "";
 
@@ -19,10 +19,6 @@ function phsiChart(host, chart) {
   function reach(values) {
     const [low = 0, high = 1] = ends(values);
     return low < high ? [low, high] : [low - (Math.abs(low) || 1) / 2, high + (Math.abs(high) || 1) / 2];
-  }
-  function edges(middles) {
-    const half = middles.length > 1 ? (middles[1] - middles[0]) / 2 : 0.5;
-    return [middles[0] - half, middles[middles.length - 1] + half];
   }
   function said(value, digits = 4) {
     const text = Math.abs(value) >= 1e6 || (value && Math.abs(value) < 1e-4) ? Number(value.toPrecision(3)).toExponential() : String(Number(value.toPrecision(digits)));
@@ -49,7 +45,6 @@ function phsiChart(host, chart) {
     return lines;
   }
   function limits(panel) {
-    if (chart.map) return edges(chart.map.y);
     const log = panel.scale === "log", values = panel.noise ? [-panel.noise, panel.noise] : [];
     for (const curve of seen(panel)) {
       curve.y.forEach((y, k) => {
@@ -95,16 +90,6 @@ function phsiChart(host, chart) {
     });
     return svg;
   }
-  function cells(map, x, y) {
-    const [left, right] = edges(map.x), [low, high] = edges(map.y);
-    const [width, height] = [(x(right) - x(left)) / map.x.length, (y(low) - y(high)) / map.y.length];
-    return map.force.flatMap((row, r) => row.map((value, k) => {
-      if (value === null) return "";
-      const colour = value > 0 ? "#b2182b" : "#2166ac";
-      const place = `x="${x(map.x[k]) - width / 2}" y="${y(map.y[r]) - height / 2}" width="${width}" height="${height}"`;
-      return `<rect ${place} fill="${colour}" opacity="${Math.max(Math.abs(value) / map.largest, 0.08)}"><title>${said(value, 3)}</title></rect>`;
-    })).join("");
-  }
   function legend() {
     const named = new Map();
     for (const curve of curves) {
@@ -117,11 +102,10 @@ function phsiChart(host, chart) {
       return curve.look === "band" ? `<span>${key}</span>` : `<button type="button" aria-pressed="${!hidden.has(name)}" data-name="${plain(name)}">${key}</button>`;
     });
     if (chart.panels.some((panel) => panel.noise)) keys.push('<span><i class="noise"></i>noise, two standard deviations</span>');
-    if (chart.map) keys.push(`<span><i style="border-top: solid 9px #b2182b"></i>up to ${said(chart.map.largest, 3)}</span><span><i style="border-top: solid 9px #2166ac"></i>down to ${said(-chart.map.largest, 3)}: ${plain(chart.map.label)}</span>`);
     return `<div class="keys">${keys.join("")}</div>`;
   }
   function draw() {
-    const width = host.clientWidth, panels = chart.map ? [{ label: chart.map.y_label, curves: [], height: 1, scale: "" }] : chart.panels;
+    const width = host.clientWidth, panels = chart.panels;
     drawnAt = size();
     if (width <= LEFT + RIGHT) return;
     const names = chart.ticks.map((lines) => folded(lines.join(" "), (width - LEFT - RIGHT) / 6.5 / chart.ticks.filter((one) => one.length).length));
@@ -141,7 +125,6 @@ function phsiChart(host, chart) {
       });
       svg += `<text x="2" y="${top - 6}" class="name">${plain(panel.label)}</text><g clip-path="inset(0)"><svg x="${LEFT}" y="${top - 6}" width="${width - LEFT - RIGHT}" height="${high + 12}" viewBox="${LEFT} ${top - 6} ${width - LEFT - RIGHT} ${high + 12}">`;
       if (panel.noise) svg += `<rect x="${LEFT}" width="${width}" y="${y(panel.noise)}" height="${y(-panel.noise) - y(panel.noise)}" class="noise"/>`;
-      if (chart.map) svg += cells(chart.map, x, y);
       svg += seen(panel).map((curve) => drawn(curve, x, y, height)).join("");
       if (chart.mark) svg += `<line x1="${x(chart.mark[0])}" x2="${x(chart.mark[0])}" y1="${top}" y2="${top + high}" class="mark"/>`;
       svg += "</svg></g>";
@@ -170,7 +153,7 @@ function phsiChart(host, chart) {
   box.addEventListener("pointerdown", (event) => { from = inside(event); });
   box.addEventListener("pointermove", (event) => {
     const at = inside(event), cursor = box.querySelector(".cursor"), drag = box.querySelector(".drag");
-    if (chart.map || !cursor) return;
+    if (!cursor) return;
     if (event.buttons && from !== null) {
       drag.setAttribute("x", Math.min(from, at));
       drag.setAttribute("width", Math.abs(at - from));
@@ -187,7 +170,7 @@ function phsiChart(host, chart) {
   });
   box.addEventListener("pointerup", (event) => {
     const at = inside(event);
-    if (from !== null && Math.abs(at - from) > 8 && !chart.map) zoom(...[value(from), value(at)].sort((a, b) => a - b));
+    if (from !== null && Math.abs(at - from) > 8) zoom(...[value(from), value(at)].sort((a, b) => a - b));
     else host.dispatchEvent(new CustomEvent("moment", { detail: Number(value(at).toPrecision(5)) }));
     from = null;
   });
