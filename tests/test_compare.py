@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 import phsi_opt as ph
-from phsi_opt.comparison.compare import FLAT_NOISE, FLAT_SPREAD, flat_sentence, is_flat
+from phsi_opt.comparison.compare import flat_sentence, is_flat
 from phsi_opt.presentation.units import Scale, Unit
 from phsi_opt.statistics import ljung_box
 from tests.machines import driven_spring
@@ -176,8 +176,8 @@ def test_a_run_is_flat_that_hardly_moves_beside_a_motion_and_explains_nothing() 
     y = np.tile([3.0, -3.0, 3.0, -3.0], 5)  # of a standard deviation of three
     across = np.tile([3.0, 3.0, -3.0, -3.0], 5)
     for near, is_so in ((0.999, True), (1.001, False)):
-        assert is_flat(y, 7.0 + 0 * y, 3 * FLAT_NOISE * near) == is_so
-        assert is_flat(y, FLAT_SPREAD * near * across, 0.0) == is_so
+        assert is_flat(y, 7.0 + 0 * y, 1.5 * near) == is_so
+        assert is_flat(y, 0.25 * near * across, 0.0) == is_so
         assert is_flat(y, 0.05 * near * y, 0.0) == is_so  # a fit of 5 %
 
 

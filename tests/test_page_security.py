@@ -300,9 +300,8 @@ def test_answers_say_what_a_browser_may_do_with_them(visitor: Visitor) -> None:
 def test_a_session_with_work_is_kept_and_the_next_is_refused_in_a_sentence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("phsi_opt.page.serve.MOST_SESSIONS", 3)
     monkeypatch.setattr(Session, "_ready_worker", lambda _: None)
-    sessions = Sessions()
+    sessions = Sessions(most=3)
     for number in range(3):
         made = sessions.of(str(number))
         if number == 0:

@@ -65,14 +65,6 @@ if TYPE_CHECKING:
 # Standard deviations of the noise beyond which one residual ends the horizon of a free
 # run: among 1e4 values normal noise gets there once or not at all.
 HORIZON_RESIDUAL = 4.0
-# Percent of the measured motion up to which a flat free run explains it, and share of
-# the measured standard deviation up to which it moves. A motion that dies out within a
-# twentieth of the record is flat.
-FLAT_FIT_PERCENT = 5.0
-FLAT_SPREAD = 0.25
-# Share of the measured standard deviation from which noise makes it up: where a state
-# shows little but noise, a flat free run is right.
-FLAT_NOISE = 0.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -499,16 +491,31 @@ def _parameter_covariance(
 # costs more than none, so that it dies out; every criterion of the solver is met there.
 
 
-def is_flat(measured: np.ndarray, shown: np.ndarray, noise: float) -> bool:
+def is_flat(
+    measured: np.ndarray,
+    shown: np.ndarray,
+    noise: float,
+    *,
+    most_noise: float = 0.5,
+    most_moved: float = 0.25,
+    most_explained: float = 0.05,
+) -> bool:
     """Whether a run (n_values,) hardly moves, and explains next to nothing.
 
-    ``measured`` are the values at the same times, with noise of a standard deviation.
+    Args:
+        measured: the values at the same times, (n_values,).
+        shown: the run.
+        noise: the standard deviation of the noise.
+        most_noise: the share of the measured standard deviation from which noise makes
+            it up: where a state shows little but noise, a flat free run is right.
+        most_moved: the share of it up to which a flat run moves.
+        most_explained: the share of the motion that a flat run explains: one that dies
+            out within a twentieth of the record is flat.
     """
     spread = float(np.std(measured))
-    moves = noise < FLAT_NOISE * spread
-    rmse = rms(measured - shown)
-    explains = rmse < (1 - FLAT_FIT_PERCENT / 100) * spread
-    return moves and not explains and float(np.std(shown)) < FLAT_SPREAD * spread
+    explains = rms(measured - shown) < (1 - most_explained) * spread
+    is_still = float(np.std(shown)) < most_moved * spread
+    return noise < most_noise * spread and is_still and not explains
 
 
 def flat_sentence(states: Sequence[str]) -> str:

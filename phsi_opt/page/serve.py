@@ -85,7 +85,7 @@ def serve(
         return None
 
     # Threads that wait for a process; the usual six would let others wait for them.
-    run.thread_pool = ThreadPoolExecutor(5 * MOST_SESSIONS)
+    run.thread_pool = ThreadPoolExecutor(5 * sessions.most)
     ui.page("/", title="phsi_opt", response_timeout=600.0)(page)
     app.on_startup(gc.freeze)  # what is imported needs no search: 0.1 s of every page
     app.on_startup(lambda: app.timer(60.0, partial(run.io_bound, sessions.tidy)))
@@ -119,15 +119,16 @@ def is_loopback(host: str) -> bool:
 
 # ---- a session for each browser ------------------------------------------------------
 
-# Browsers that one server keeps; each may hold a process of about 300 MB.
-MOST_SESSIONS = 20
-
 
 class Sessions:
-    """The sessions by the browser's key; each begins with the study file, if any."""
+    """The sessions by the browser's key; each begins with the study file, if any.
 
-    def __init__(self, study_file: Path | None = None) -> None:
+    At most so many are kept; each may hold a process of about 300 MB.
+    """
+
+    def __init__(self, study_file: Path | None = None, most: int = 20) -> None:
         self._study_file = study_file
+        self.most = most
         self._by_key: dict[str, Session] = {}
         self._making = threading.Lock()  # two windows of a browser have one session
 
@@ -135,7 +136,7 @@ class Sessions:
         """The session of a browser; a new one where it has none.
 
         Raises:
-            DataError: there are ``MOST_SESSIONS`` already, all with somebody's work.
+            DataError: there are too many already, all with somebody's work.
         """
         with self._making:
             if key not in self._by_key:
@@ -173,13 +174,13 @@ class Sessions:
         """End an empty session where there are too many."""
         # First goes what no page ever showed, then what was seen longest ago. A session
         # that holds somebody's work stays.
-        if len(self._by_key) < MOST_SESSIONS:
+        if len(self._by_key) < self.most:
             return
         known = self._by_key.items()
         empty = [((s.is_shown, s.seen), key) for key, s in known if s.is_empty]
         if not empty:
             raise DataError(
-                f"this page allows {MOST_SESSIONS} studies at a time. Try again when "
+                f"this page allows {self.most} studies at a time. Try again when "
                 "another user has ended a study (New, above)."
             )
         _, first = min(empty)

@@ -37,7 +37,6 @@ from phsi_opt.presentation.charts import (
 from phsi_opt.presentation.content import Diagnosed, Ranked, Run, StudyContent
 from phsi_opt.presentation.numbers import number, proper_names, with_error
 
-N_SHOWN = 5  # candidates that are shown at once
 ADD_ALL = "Add effects automatically until the error reaches noise"
 BAR = (
     "A bar is the error that would remain with the effect; a full bar is the error "
@@ -303,8 +302,8 @@ class StudyView:
             heading("Effects, best first" if diagnosed.proposed else title)
             if diagnosed.ranking and diagnosed.ranking[0].train is not None:
                 ui.label(BAR).classes("faint")
-            others = diagnosed.ranking[N_SHOWN:]
-            self._candidates(content, diagnosed, diagnosed.ranking[:N_SHOWN])
+            others = diagnosed.ranking[5:]
+            self._candidates(content, diagnosed, diagnosed.ranking[:5])
             if others:
                 more = ui.expansion(f"{len(others)} more").classes("w-full")
                 more.on_value_change(lambda: open_others())

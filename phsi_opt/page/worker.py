@@ -32,8 +32,6 @@ from phsi_opt.study_file.study_file import StudyFile
 
 Order = partial[Any]  # a function of a module, with its arguments
 OUT_OF_TIME = getattr(signal, "SIGXCPU", 0)
-WAITS = 10  # times as long by the clock: a machine may be busy
-WARMS_UP = "house"  # an example whose units take most to read
 Receiver = Callable[["WorkerHandle", Any], None]
 
 
@@ -139,7 +137,8 @@ class WorkerHandle:
         has_time = True
         returned = None
         try:
-            returned = self._returned.get(timeout=within and WAITS * within)
+            # Ten times as long by the clock: a machine may be busy.
+            returned = self._returned.get(timeout=within and 10 * within)
         except Empty:
             self.end()
             has_time = False
@@ -216,7 +215,8 @@ def work(connection: Connection, solves: bool) -> None:
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
     listener.start()
     if not is_needed:  # everything is imported and compiled before it is needed
-        StudyFile.read(example(WARMS_UP)).study().content(forces=True)
+        slowest = example("house")  # its units take most to read
+        StudyFile.read(slowest).study().content(forces=True)
     while True:
         order = orders.get()
         if isinstance(order, Study):

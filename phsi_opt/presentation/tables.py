@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-COLUMN_GAP = 2  # characters between columns
-LONGEST_WORD = 34  # characters of a word that is not broken
 BREAKABLE = re.compile(r"[ \t\r\n]+")  # but for a blank at which no line breaks
 MOST_ROWS = 60  # that are printed, as pandas does; of longer tables the ends
 
@@ -58,12 +56,12 @@ class Column:
 
     @property
     def least_width(self) -> int:
-        """Characters that it takes where all is broken that may be, with the gap."""
+        """Characters that it takes where all is broken that may be."""
         longest = max(map(len, self.cells), default=1)
         if not self.is_number:  # texts are broken at blanks, after a word or two
             words = map(len, " ".join(self.cells).split(" "))
-            longest = max(min(longest, 12), min(max(words, default=1), LONGEST_WORD))
-        return COLUMN_GAP + max(longest, 1, *map(len, re.split(r"[\s_]+", self.header)))
+            longest = max(min(longest, 12), min(max(words, default=1), 34))
+        return max(longest, 1, *map(len, re.split(r"[\s_]+", self.header)))
 
 
 def columns_of(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> list[Column]:
@@ -131,11 +129,11 @@ def _laid_out(columns: list[Column], width: int) -> "Table":
     from rich.text import Text
 
     widest = [max(map(len, (one.header, *one.cells))) for one in columns]
-    is_wide = sum(widest) + COLUMN_GAP * (len(columns) - 1) > width
-    shown = Table(box=None, padding=(0, COLUMN_GAP, 0, 0), pad_edge=False)
+    is_wide = _with_gaps(widest) > width
+    shown = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
     spare = max(width - _least(columns), 0)
     for one, most in zip(columns, widest, strict=True):
-        least = min(one.least_width - COLUMN_GAP, width)
+        least = min(one.least_width, width)
         more = min(max(most - least, 0), spare)
         spare -= more
         shown.add_column(
@@ -167,7 +165,11 @@ def _blocks(columns: list[Column], width: int) -> Iterator[list[Column]]:
 
 def _least(columns: list[Column]) -> int:
     """Characters that columns take at least, with the gaps between them."""
-    return sum(column.least_width for column in columns) - COLUMN_GAP
+    return _with_gaps([column.least_width for column in columns])
+
+
+def _with_gaps(widths: list[int]) -> int:
+    return sum(widths) + 2 * (len(widths) - 1)
 
 
 def html_of_table(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> str:

@@ -64,7 +64,6 @@ from phsi_opt.study.answers import (
 )
 from phsi_opt.study.record import Step, StudyRecord
 
-LEVEL = 0.95  # of the intervals: the convention of most tables
 HOLD_WORDS = {
     "zero": "constant until the next sample (zero-order hold)",
     "linear": "linear between samples",
@@ -148,7 +147,7 @@ def study_content(
 
 
 def _model(heading: str, fit: Fit) -> Equations:
-    intervals = fit.intervals(LEVEL)
+    intervals = fit.intervals()
     rows = [_parameter(fit, row, intervals) for _, row in fit.parameters.iterrows()]
     lines = tuple(map(short_constants, equation_lines(fit)))
     equations = typeset_equations(fit.model, fit.values, fit.units.get("t", ""))
@@ -388,7 +387,7 @@ def _settings(study: StudyRecord, headline: Headline) -> tuple[Answer, ...]:
         "Solver": study.last.fit.outcome.sentence,
         "How to do what is proposed": headline.next_step.how,
         "Standard errors": str(study.last.fit.std_error_source),
-        "Intervals": f"{100 * LEVEL:.0f} %, Student's distribution",
+        "Intervals": "95 %, Student's distribution",
         "Seeds": SEEDS,
         "Versions": ", ".join([*versions, f"Python {platform.python_version()}"]),
     }
