@@ -206,15 +206,15 @@ def test_a_table_tells_which_effect_was_accepted_and_the_grade_of_no_other(
 ) -> None:
     first, last = content.diagnoses
     (named,) = first.ranking
-    assert named.result == "accepted"
+    assert named.row("m")["Result"] == "accepted"
     assert named.evidence.startswith("decisive, log evidence")
     (candidate,) = study.record.diagnoses[0].ranking
     rejected = replace(candidate, lost="its size ends at a bound")
     diagnosis = unexplained(study.record.diagnoses[0], ranking=(rejected,))
     (row,) = study_content(with_diagnoses(study, diagnosis)).diagnoses[0].ranking
-    assert row.result == "its size ends at a bound" and not row.odds
+    assert row.lost == "its size ends at a bound" and not row.odds
     assert re.fullmatch(r"log evidence \d+", row.evidence)
-    assert not last.ranking or "accepted" not in last.ranking[0].result
+    assert not last.ranking or last.ranking[0].lost
     assert "Result" in page and "Rejected because" not in page
 
 
@@ -463,6 +463,11 @@ def test_verdict_table_and_picture_use_the_same_words(page, content, study) -> N
     )
     again = study_content(study.record, study.record.laws(), written=day)
     assert html_report(again, study.record.data_chart()) == page
+    lines = markdown_report(again).splitlines()
+    (head,) = [k for k, line in enumerate(lines) if line.startswith("| Step | Model |")]
+    assert lines[head + 1].startswith("| --- | --- |")
+    assert lines[head + 2].startswith("| 0 | base model | 0.0")
+    assert any(line.endswith(" | nothing | accepted |") for line in lines)
     titled = replace(study.record, title="Drive <7>")
     assert "<title>Drive &lt;7&gt;: " in html_report(study_content(titled))
 

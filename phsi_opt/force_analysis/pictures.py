@@ -112,10 +112,11 @@ def _dependence_words(force: EquationForce, variable: str) -> str:
     """How much of the variation of a force a variable predicts."""
     percent = 100 * force.share_of(variable)
     told = force.variable_words(variable)
-    said = f"{told} predicts {percent:.0f} % of the variation of the {force.quantity}"
+    of = f"variation of the {force.quantity} missing in d{force.equation}/dt"
+    less = ""
     if variable != TIME_NAME and force.by_parameters.shape[1]:
-        said += ", without what other values of the parameters explain"
-    return f"{said} missing in d{force.equation}/dt"
+        less = ", without what other values of the parameters explain"
+    return f"{told} predicts {percent:.0f} % of the {of}{less}"
 
 
 # ---- on axes -------------------------------------------------------------------------

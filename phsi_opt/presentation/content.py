@@ -13,18 +13,22 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.errors import some_of
 from phsi_opt.presentation.numbers import (
     as_exact_as,
     label,
     lowered,
     number,
+    proper_names,
     said,
     typeset,
+    with_error,
 )
-from phsi_opt.presentation.units import Scale
+from phsi_opt.presentation.units import Scale, scale_of_errors
 from phsi_opt.statistics import rms
 
 Number = float | None
+Row = dict[str, str]  # of a table: a text by the name of its column
 
 TRAINING = "training"
 HELD_OUT = "held out"
@@ -162,6 +166,16 @@ class Equations:
     parameters: tuple[ParameterRow, ...]
     typeset: tuple[str, ...] = ()  # the same as MathML, without numbers; (): too long
 
+    @property
+    def rows(self) -> list[Row]:
+        """The table of the parameters."""
+        rows = []
+        for one in self.parameters:
+            row = {"Parameter": one.name, "Value": with_error(one.value, one.std_error)}
+            row |= {"95 % interval": one.interval, "Unit": typeset(one.unit)}
+            rows.append(row)
+        return rows
+
 
 @dataclass(frozen=True, eq=False)
 class Channel:
@@ -281,18 +295,21 @@ class Ranked:
     odds: str = ""  # how sure it is, in words; "" where it is rejected
     is_likely: bool = False  # by its evidence, more than a random disturbance
 
-    @property
-    def result(self) -> str:
-        """Why it is rejected, or that it is accepted."""
-        return self.lost or "accepted"
-
-    def error_with(self, unit: str) -> str:
-        """The error with it, on the data that judge where that is known."""
+    def row(self, unit: str) -> Row:
+        """Of the table of the candidates; the error on data that judge, if known."""
         error = self.train if self.held_out is None else self.held_out
-        if error is None:
-            return ""
-        where = " on training data" if self.held_out is None else ""
-        return typeset(f"{number(error, 3)} {unit}".rstrip()) + where
+        words = "" if error is None else typeset(f"{number(error, 3)} {unit}".rstrip())
+        if error is not None and self.held_out is None:
+            words += " on training data"
+        return {
+            "Effect": proper_names(self.effect),
+            "Size": typeset(self.size),
+            "Evidence": typeset(self.evidence),
+            "Explains": "" if self.share is None else f"{100 * self.share:.0f} %",
+            "Error with it": words,
+            "Confusable with": proper_names(some_of(self.confused_with, "nothing")),
+            "Result": said(self.lost or "accepted"),
+        }
 
 
 @dataclass(frozen=True)
@@ -312,6 +329,10 @@ class Diagnosed:
     def listed(self) -> tuple[Ranked, ...]:
         """The candidates that a report lists."""
         return tuple(one for one in self.ranking if one.is_likely)[:12]
+
+    def rows(self, unit: str) -> list[Row]:
+        """Their table, with errors in a unit."""
+        return [one.row(unit) for one in self.listed]
 
 
 # ---- all of it -----------------------------------------------------------------------
@@ -371,11 +392,40 @@ class StudyContent:
         residual = np.abs(np.nan_to_num(channel.measured - channel.models[-1]))
         return run_number, number, float(channel.t[np.argmax(residual)])
 
-    def largest_error(self, channel: str) -> float:
-        """The largest error of a channel, of all runs and models."""
-        channels = chain(*(run.channels for run in self.runs))
-        alike = (one.errors for one in channels if one.name == channel)
-        return max(filter(None, chain(*alike)), default=0.0)
+    @property
+    def error_rows(self) -> list[Row]:
+        """The table of the errors step by step."""
+        rows = []
+        for k, step in enumerate(self.steps):
+            row = {"Step": str(k), "Model": proper_names(step.label)}
+            row["Training"] = number(step.train, 3)
+            row["Held out"] = "none held out"
+            if step.held_out is not None:
+                row["Held out"] = number(step.held_out, 3)
+            if self.steps[0].final is not None:
+                row["Final test"] = "" if step.final is None else number(step.final, 3)
+            row |= {"Noise floor": number(step.floor, 3), "BIC": number(step.bic, 6)}
+            rows.append(row)
+        return rows
+
+    @property
+    def run_rows(self) -> list[Row]:
+        """The table of the errors of every run and channel, by model."""
+        largest: dict[str, float] = {}
+        for one in chain(*(run.channels for run in self.runs)):
+            known = filter(None, (largest.get(one.name), *one.errors))
+            largest[one.name] = max(known, default=0.0)
+        rows = []
+        for run in self.runs:
+            for one in run.channels:
+                size, unit = scale_of_errors(one.unit, largest[one.name])
+                row = {"Run": run.name, "Part": run.part}
+                row["Channel"] = label(one.name, unit)
+                errors = dict(zip(self.names, one.errors, strict=True))
+                for name, error in {**errors, "Noise": one.noise}.items():
+                    row[name] = number(error and size * error, 3)
+                rows.append(row)
+        return rows
 
     def forces_along(self, run: Run) -> list[ForceRun]:
         place = (run.name, run.part)

@@ -89,6 +89,7 @@ def markdown_report(content: StudyContent) -> str:
     """The same in words and tables, as Markdown."""
     templates = environment(PRESENTATION, TEMPLATES, finalize=_in_markdown)
     templates.filters["code"] = lambda line: Markup(" ".join(line.splitlines()))
+    templates.filters["markup"] = Markup
     return templates.get_template("report.md.jinja").render(report=content)
 
 

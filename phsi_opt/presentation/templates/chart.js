@@ -1,7 +1,8 @@
 "use strict";
 // Draws a chart of Python's `Chart` into an element, as SVG: hover, legend, zoom.
 function phsiChart(host, chart) {
-  const DASHES = { dash: "7 4", dot: "2 4" }, LEFT = 62, RIGHT = 12, GAP = 22, RAISED = { ..."⁰¹²³⁴⁵⁶⁷⁸⁹", "-": "⁻" };
+  const DASHES = { dash: "7 4", dot: "2 4" }, LEFT = 62, RIGHT = 12, GAP = 22;
+  const RAISED = { ..."⁰¹²³⁴⁵⁶⁷⁸⁹", "-": "⁻" };
   const plain = (text) => String(text).replace(/[&<>"']/g, (sign) => `&#${sign.charCodeAt(0)};`);
   const finite = (values) => values.filter((value) => value !== null && isFinite(value));
   const curves = chart.panels.flatMap((panel) => panel.curves);
@@ -21,8 +22,10 @@ function phsiChart(host, chart) {
     return low < high ? [low, high] : [low - (Math.abs(low) || 1) / 2, high + (Math.abs(high) || 1) / 2];
   }
   function said(value, digits = 4) {
-    const text = Math.abs(value) >= 1e6 || (value && Math.abs(value) < 1e-4) ? Number(value.toPrecision(3)).toExponential() : String(Number(value.toPrecision(digits)));
-    return text.replace(/e\+?(-?\d+)/, (_, power) => `×10${[...power].map((one) => RAISED[one]).join("")}`).replace(/-/g, "−");
+    const text = Math.abs(value) >= 1e6 || (value && Math.abs(value) < 1e-4) ?
+      Number(value.toPrecision(3)).toExponential() : String(Number(value.toPrecision(digits)));
+    return text.replace(/e\+?(-?\d+)/, (_, power) => `×10${[...power].map((one) =>
+      RAISED[one]).join("")}`).replace(/-/g, "−");
   }
   function ticks(low, high, most) {
     const rough = (high - low) / most, size = 10 ** Math.floor(Math.log10(rough));
@@ -33,7 +36,8 @@ function phsiChart(host, chart) {
   }
   function decades(low, high) {
     const found = [];
-    for (let k = Math.floor(low); k <= high; k++) for (const one of high - low > 1.5 ? [1] : [1, 2, 5]) found.push(k + Math.log10(one));
+    for (let k = Math.floor(low); k <= high; k++) for (const one of high - low > 1.5 ? [1] : [1, 2, 5]) found.push(k +
+      Math.log10(one));
     return found.filter((value) => value >= low && value <= high);
   }
   function folded(text, most) { // into lines of so many letters
@@ -54,7 +58,8 @@ function phsiChart(host, chart) {
       });
     }
     if (panel.scale === "from zero") values.push(0);
-    const [low, high] = reach(values), room = (high - low) * (panel.curves.some((curve) => curve.texts.length) ? 0.2 : 0.06);
+    const [low, high] = reach(values), room = (high - low) * (panel.curves.some((curve) => curve.texts.length) ? 0.2 :
+      0.06);
     return [panel.scale === "from zero" ? 0 : low - room, high + room];
   }
   function path(curve, x, y, height) {
@@ -71,22 +76,29 @@ function phsiChart(host, chart) {
     let svg = "";
     if (curve.std) {
       const known = curve.y.map((value, k) => k).filter((k) => curve.y[k] !== null && curve.std[k] !== null);
-      const side = (sign) => known.map((k) => `${x(curve.x[k]).toFixed(1)} ${y(curve.y[k] + sign * curve.std[k]).toFixed(1)}`);
-      svg += `<polygon points="${[...side(1), ...side(-1).reverse()].join(" ")}" fill="${curve.color}" fill-opacity=".2"${curve.look === "band" ? ` stroke="${curve.color}"` : ""}/>`;
+      const side = (sign) => known.map((k) => `${x(curve.x[k]).toFixed(1)} ${y(curve.y[k] +
+        sign * curve.std[k]).toFixed(1)}`);
+      svg += `<polygon points="${[...side(1),
+        ...side(-1).reverse()].join(" ")}" fill="${curve.color}" `
+        + `fill-opacity=".2"${curve.look === "band" ? ` stroke="${curve.color}"` : ""}/>`;
     }
     const isRings = curve.look === "rings", isPoints = curve.look === "points";
     if (isPoints) { // one element for all of them: hundreds take a browser long
-      const dots = curve.y.flatMap((value, k) => value === null || !isFinite(y(value)) ? [] : `M${x(curve.x[k]).toFixed(1)} ${y(value).toFixed(1)}h0`);
+      const dots = curve.y.flatMap((value, k) => value === null || !isFinite(y(value)) ? [] :
+        `M${x(curve.x[k]).toFixed(1)} ${y(value).toFixed(1)}h0`);
       return `${svg}<path d="${dots.join("")}" stroke="${curve.color}" stroke-width="3.6" stroke-linecap="round"/>`;
     }
-    if (!isRings && curve.look !== "band") svg += `<path d="${path(curve, x, y, height)}" fill="none" stroke="${curve.color}" stroke-width="2" stroke-dasharray="${DASHES[curve.look] || ""}"/>`;
+    if (!isRings && curve.look !== "band") svg += `<path d="${path(curve, x, y,
+      height)}" fill="none" stroke="${curve.color}" stroke-width="2" stroke-dasharray="${DASHES[curve.look] || ""}"/>`;
     if (!isRings && curve.look !== "steps") return svg;
     curve.y.forEach((value, k) => {
       if (value === null || !isFinite(y(value))) return;
       const [cx, cy] = [x(curve.x[k]).toFixed(1), y(value)];
-      svg += `<circle cx="${cx}" cy="${cy.toFixed(1)}" r="${isRings ? 6 : 4}" ${isRings ? 'fill="none" stroke-width="2" stroke' : "fill"}="${curve.color}"/>`;
+      svg += `<circle cx="${cx}" cy="${cy.toFixed(1)}" r="${isRings ? 6 : 4}" ${isRings ?
+        'fill="none" stroke-width="2" stroke' : "fill"}="${curve.color}"/>`;
       const text = curve.texts[k] || "";
-      svg += text && `<text x="${cx}" y="${cy + (curve.is_below[k] ? 18 : -9)}" text-anchor="middle" style="fill: ${curve.color}">${plain(text)}</text>`;
+      svg += text && `<text x="${cx}" y="${cy + (curve.is_below[k] ? 18 :
+        -9)}" text-anchor="middle" style="fill: ${curve.color}">${plain(text)}</text>`;
     });
     return svg;
   }
@@ -97,23 +109,29 @@ function phsiChart(host, chart) {
       if (curve.std) named.set(curve.band, { ...curve, look: "band" });
     }
     const keys = [...named].map(([name, curve]) => {
-      const line = curve.look === "points" ? "dotted 4px" : curve.look === "band" ? "solid 9px" : { dash: "dashed 3px", dot: "dotted 3px" }[curve.look] || "solid 3px";
-      const key = `<i style="border-top: ${line} ${curve.color}${curve.look === "band" ? "55" : ""}"></i>${plain(name)}`;
-      return curve.look === "band" ? `<span>${key}</span>` : `<button type="button" aria-pressed="${!hidden.has(name)}" data-name="${plain(name)}">${key}</button>`;
+      const line = curve.look === "points" ? "dotted 4px" : curve.look === "band" ? "solid 9px" : { dash: "dashed 3px",
+        dot: "dotted 3px" }[curve.look] || "solid 3px";
+      const key = `<i style="border-top: ${line} ${curve.color}${curve.look === "band" ? "55" :
+        ""}"></i>${plain(name)}`;
+      return curve.look === "band" ? `<span>${key}</span>` :
+        `<button type="button" aria-pressed="${!hidden.has(name)}" data-name="${plain(name)}">${key}</button>`;
     });
-    if (chart.panels.some((panel) => panel.noise)) keys.push('<span><i class="noise"></i>noise, two standard deviations</span>');
+    if (chart.panels.some((panel) =>
+      panel.noise)) keys.push('<span><i class="noise"></i>noise, two standard deviations</span>');
     return `<div class="keys">${keys.join("")}</div>`;
   }
   function draw() {
     const width = host.clientWidth, panels = chart.panels;
     drawnAt = size();
     if (width <= LEFT + RIGHT) return;
-    const names = chart.ticks.map((lines) => folded(lines.join(" "), (width - LEFT - RIGHT) / 6.5 / chart.ticks.filter((one) => one.length).length));
+    const names = chart.ticks.map((lines) => folded(lines.join(" "),
+      (width - LEFT - RIGHT) / 6.5 / chart.ticks.filter((one) => one.length).length));
     const box = host.querySelector("svg"), tickRows = Math.max(1, ...names.map((lines) => lines.length));
     const height = Math.max(host.clientHeight - host.querySelector(".keys").offsetHeight - 4, 120);
     const bottom = height - 18 * tickRows - (chart.x_label ? 22 : 4);
     const x = (value) => LEFT + (value - range[0]) / (range[1] - range[0]) * (width - LEFT - RIGHT);
-    const room = bottom - 18 - GAP * (panels.length - 1), heights = panels.reduce((sum, panel) => sum + panel.height, 0);
+    const room = bottom - 18 - GAP * (panels.length - 1), heights = panels.reduce((sum, panel) => sum + panel.height,
+      0);
     let top = 18, svg = "";
     panels.forEach((panel) => {
       const high = room * panel.height / heights, [least, most] = limits(panel), log = panel.scale === "log";
@@ -121,30 +139,42 @@ function phsiChart(host, chart) {
       const marks = log ? decades(least, most) : ticks(least, most, Math.max(high / 35, 3));
       marks.forEach((mark) => {
         const at = y(log ? 10 ** mark : mark);
-        svg += `<line x1="${LEFT}" x2="${width - RIGHT}" y1="${at}" y2="${at}" class="${mark === 0 && !log ? "zero" : "grid"}"/><text x="${LEFT - 6}" y="${at + 4}" text-anchor="end">${said(log ? 10 ** mark : mark)}</text>`;
+        svg += `<line x1="${LEFT}" x2="${width - RIGHT}" y1="${at}" y2="${at}" class="${mark === 0 && !log ? "zero" :
+          "grid"}"/><text x="${LEFT - 6}" y="${at + 4}" text-anchor="end">${said(log ? 10 ** mark : mark)}</text>`;
       });
-      svg += `<text x="2" y="${top - 6}" class="name">${plain(panel.label)}</text><g clip-path="inset(0)"><svg x="${LEFT}" y="${top - 6}" width="${width - LEFT - RIGHT}" height="${high + 12}" viewBox="${LEFT} ${top - 6} ${width - LEFT - RIGHT} ${high + 12}">`;
-      if (panel.noise) svg += `<rect x="${LEFT}" width="${width}" y="${y(panel.noise)}" height="${y(-panel.noise) - y(panel.noise)}" class="noise"/>`;
+      svg += `<text x="2" y="${top - 6}" class="name">${plain(panel.label)}</text><g clip-path="inset(0)">`
+        + `<svg x="${LEFT}" y="${top - 6}" width="${width - LEFT - RIGHT}" height="${high + 12}" `
+        + `viewBox="${LEFT} ${top - 6} ${width - LEFT - RIGHT} ${high + 12}">`;
+      if (panel.noise) svg += `<rect x="${LEFT}" width="${width}" y="${y(panel.noise)}" `
+        + `height="${y(-panel.noise) - y(panel.noise)}" class="noise"/>`;
       svg += seen(panel).map((curve) => drawn(curve, x, y, height)).join("");
-      if (chart.mark) svg += `<line x1="${x(chart.mark[0])}" x2="${x(chart.mark[0])}" y1="${top}" y2="${top + high}" class="mark"/>`;
+      if (chart.mark) svg += `<line x1="${x(chart.mark[0])}" x2="${x(chart.mark[0])}" y1="${top}" y2="${top +
+        high}" class="mark"/>`;
       svg += "</svg></g>";
       top += high + GAP;
     });
     if (chart.mark) svg += `<text x="${x(chart.mark[0])}" y="12" text-anchor="middle">${plain(chart.mark[1])}</text>`;
-    const below = names.length ? names.map((lines, k) => [k, lines]).filter(([k]) => k >= range[0] && k <= range[1]) : ticks(...range, Math.max((width - LEFT) / 80, 4)).map((value) => [value, [said(value)]]);
-    below.forEach(([value, lines]) => lines.forEach((line, row) => { svg += `<text x="${x(value)}" y="${bottom + 16 + 17 * row}" text-anchor="middle">${plain(line)}</text>`; }));
-    svg += `<text x="${(LEFT + width - RIGHT) / 2}" y="${height - 5}" text-anchor="middle" class="name">${plain(chart.x_label)}</text><line class="cursor" x1="-9" x2="-9" y1="18" y2="${bottom}"/><rect class="drag" y="18" height="${bottom - 18}"/>`;
+    const below = names.length ? names.map((lines, k) => [k, lines]).filter(([k]) => k >= range[0] && k <= range[1]) :
+      ticks(...range, Math.max((width - LEFT) / 80, 4)).map((value) => [value, [said(value)]]);
+    below.forEach(([value, lines]) => lines.forEach((line, row) => { svg += `<text x="${x(value)}" y="${bottom + 16 +
+      17 * row}" text-anchor="middle">${plain(line)}</text>`; }));
+    svg += `<text x="${(LEFT +
+      width - RIGHT) / 2}" y="${height - 5}" text-anchor="middle" class="name">${plain(chart.x_label)}</text>`
+      + `<line class="cursor" x1="-9" x2="-9" y1="18" y2="${bottom}"/><rect class="drag" y="18" height="${bottom - 18}"/>`;
     box.setAttribute("height", height);
     box.innerHTML = svg;
   }
 
   // ---- what a reader does: hover, drag, the legend, and the zoom of buttons ----------
   host.classList.add("drawn");
-  host.innerHTML = `${legend()}<svg width="100%" role="img" aria-label="${plain(host.dataset.label)}"></svg><output hidden></output>`;
+  host.innerHTML = `${legend()}<svg width="100%" role="img" aria-label="${plain(host.dataset.label)}"></svg>`
+    + "<output hidden></output>";
   const box = host.querySelector("svg"), told = host.querySelector("output");
   const inside = (event) => event.clientX - box.getBoundingClientRect().left;
-  const value = (pixel) => range[0] + (Math.min(Math.max(pixel, LEFT), host.clientWidth - RIGHT) - LEFT) / (host.clientWidth - LEFT - RIGHT) * (range[1] - range[0]);
-  const nearest = (curve, at) => curve.x.reduce((best, x, k) => curve.y[k] !== null && (best < 0 || Math.abs(x - at) < Math.abs(curve.x[best] - at)) ? k : best, -1);
+  const value = (pixel) => range[0] + (Math.min(Math.max(pixel, LEFT),
+    host.clientWidth - RIGHT) - LEFT) / (host.clientWidth - LEFT - RIGHT) * (range[1] - range[0]);
+  const nearest = (curve, at) => curve.x.reduce((best, x, k) => curve.y[k] !== null && (best < 0 ||
+    Math.abs(x - at) < Math.abs(curve.x[best] - at)) ? k : best, -1);
   let from = null;
   function zoom(low, high) {
     range = low < high ? [low, high] : whole;
@@ -158,11 +188,15 @@ function phsiChart(host, chart) {
       drag.setAttribute("x", Math.min(from, at));
       drag.setAttribute("width", Math.abs(at - from));
     }
-    const rows = chart.panels.flatMap((panel) => seen(panel).map((curve) => [curve, nearest(curve, value(at)), panel.label])).filter(([, k]) => k >= 0);
+    const rows = chart.panels.flatMap((panel) => seen(panel).map((curve) => [curve, nearest(curve, value(at)),
+      panel.label])).filter(([, k]) => k >= 0);
     if (!rows.length) return;
     const x = rows[0][0].x[rows[0][1]];
     const title = chart.ticks.length ? chart.ticks[Math.round(x)].join(" ") : `${chart.x_label}: ${said(x)}`;
-    told.innerHTML = `${plain(title)}<br>` + rows.map(([curve, k, label]) => `<i style="border-top: solid 3px ${curve.color}"></i>${plain(curve.look === "band" ? curve.band : curve.name || (curve.group ? `residual, ${curve.group}` : label))} ${curve.look === "band" ? "" : said(curve.y[k])}`).join("<br>");
+    told.innerHTML = `${plain(title)}<br>` + rows.map(([curve, k, label]) =>
+      `<i style="border-top: solid 3px ${curve.color}"></i>${plain(curve.look === "band" ? curve.band : curve.name ||
+      (curve.group ? `residual, ${curve.group}` : label))} ${curve.look === "band" ? "" :
+      said(curve.y[k])}`).join("<br>");
     told.hidden = false;
     told.style.left = `${Math.min(at + 14, host.clientWidth - told.offsetWidth - 4)}px`;
     cursor.setAttribute("x1", at);
@@ -194,10 +228,12 @@ function phsiChart(host, chart) {
     stop: () => watch.disconnect(),
     zoom(what) {
       const [low, high] = range, width = high - low;
-      const to = { in: [low + width / 4, high - width / 4], out: [low - width / 2, high + width / 2], left: [low - width / 2, high - width / 2], right: [low + width / 2, high + width / 2] };
+      const to = { in: [low + width / 4, high - width / 4], out: [low - width / 2, high + width / 2],
+        left: [low - width / 2, high - width / 2], right: [low + width / 2, high + width / 2] };
       zoom(...(to[what] || [0, 0]));
     },
   };
 }
 // A page that puts charts in and takes them out has each in ``data-figure``.
-new MutationObserver(() => document.querySelectorAll("[data-figure]:not(.drawn)").forEach((host) => phsiChart(host, JSON.parse(host.dataset.figure)))).observe(document.documentElement, { childList: true, subtree: true });
+new MutationObserver(() => document.querySelectorAll("[data-figure]:not(.drawn)").forEach((host) => phsiChart(host,
+  JSON.parse(host.dataset.figure)))).observe(document.documentElement, { childList: true, subtree: true });

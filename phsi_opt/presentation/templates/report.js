@@ -2,7 +2,8 @@
   const root = document.documentElement;
 
   // Colours: as the system has them, or one of two; kept while the page is open.
-  document.getElementById("theme").addEventListener("change", (event) => { root.style.colorScheme = event.target.value; });
+  document.getElementById("theme").addEventListener("change", (event) => { root.style.colorScheme = event.target.value;
+    });
 
   // On a phone the answers come first; what stands behind them is opened.
   if (matchMedia("(max-width: 40rem)").matches) {
@@ -42,7 +43,8 @@
     if (drawn[id]) drawn[id].stop();
     drawn[id] = phsiChart(document.getElementById(id), chosen(id));
   }
-  document.querySelectorAll("select[data-chart]").forEach((select) => select.addEventListener("change", () => draw(select.dataset.chart)));
+  document.querySelectorAll("select[data-chart]").forEach((select) => select.addEventListener("change", () =>
+    draw(select.dataset.chart)));
   document.querySelectorAll(".zoom").forEach((group) => group.addEventListener("click", (event) => {
     const what = event.target.dataset.do;
     if (what) drawn[group.dataset.chart].zoom(what);
