@@ -32,6 +32,7 @@ from phsi_opt.presentation.content import (
     TRAINING,
     VERDICT,
     Answer,
+    lines_of,
     verdict_words,
 )
 from phsi_opt.presentation.numbers import capitalised, enumerated, range_words
@@ -274,7 +275,7 @@ class Diagnosis(Summarised):
         return plot_where(self.analysis, equation)
 
     def _summary(self) -> Summary:
-        told = [f"{one.question}: {one}" for one in self.answers[1:]]
+        told = lines_of(self.answers[1:])
         rows = []
         for one in self.ranking[:N_PRINTED]:
             size = str(one.size).replace(" ", "\N{NO-BREAK SPACE}")
@@ -315,7 +316,6 @@ def _verdict(diagnosis: Diagnosis) -> Answer:
         "error": judged.rmse,
         "noise_floor": judged.noise_floor,
         "unit": judged.error_unit,
-        "log_evidence": [one.log_evidence for one in diagnosis.established],
     }
     return Answer(
         f"{capitalised(verdict_words(diagnosis.verdict))}{remark}.",

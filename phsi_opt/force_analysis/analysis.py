@@ -104,7 +104,7 @@ class ForceAnalysis:
     @cached_property
     def sentences(self) -> list[str]:
         """Where the model fails, in plain words, an equation each; strongest first."""
-        return [force_words(force) for force in self.strongest_first]
+        return list(map(force_words, self.strongest_first))
 
 
 # ---- in words ------------------------------------------------------------------------

@@ -133,9 +133,8 @@ def period_of(force: Force) -> float | None:
     wave = functions[:, -4:] @ coefficients[-4:]
     slow = functions[:, :-4] @ coefficients[:-4]
     period = 1 / _frequency_in_time(force, everywhere)
-    run = force.record.run
-    runs = [force.record.t[run == number] for number in np.unique(run)]
-    longest = max(map(np.ptp, runs))
+    ends = np.flatnonzero(np.diff(force.record.run)) + 1
+    longest = max(map(np.ptp, np.split(force.record.t, ends)))
     return None if np.var(slow) > np.var(wave) or period > longest else period
 
 

@@ -8,7 +8,6 @@ Numbers that are not known are NaN in arrays, and None elsewhere.
 import datetime as dt
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -412,9 +411,10 @@ class StudyContent:
     def run_rows(self) -> list[Row]:
         """The table of the errors of every run and channel, by model."""
         largest: dict[str, float] = {}
-        for one in chain(*(run.channels for run in self.runs)):
-            known = filter(None, (largest.get(one.name), *one.errors))
-            largest[one.name] = max(known, default=0.0)
+        for run in self.runs:
+            for one in run.channels:
+                known = filter(None, (largest.get(one.name), *one.errors))
+                largest[one.name] = max(known, default=0.0)
         rows = []
         for run in self.runs:
             for one in run.channels:
@@ -438,6 +438,11 @@ def foremost(runs: Sequence[Run], size: Callable[[Channel], float]) -> tuple[int
     for k, run in enumerate(runs):
         sizes |= {(k, c): size(one) for c, one in enumerate(run.channels)}
     return max(sizes, key=sizes.__getitem__)
+
+
+def lines_of(answers: Sequence[Answer]) -> list[str]:
+    """Answers as lines of a terminal."""
+    return [f"{one.question}: {one}" for one in answers]
 
 
 def verdict_words(status: str) -> str:

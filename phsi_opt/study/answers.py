@@ -27,6 +27,7 @@ from phsi_opt.presentation.content import (
     VERDICT,
     Answer,
     Headline,
+    lines_of,
     unestablished_words,
 )
 from phsi_opt.presentation.numbers import number, said, with_error, with_interval
@@ -85,7 +86,7 @@ def summary_of(study: StudyRecord) -> Summary:
     names = [one.name for one in study.unestablished]
     told = [
         headline.sentence,
-        *(f"{one.question}: {one}" for one in headline.answers),
+        *lines_of(headline.answers),
         *(caution.strip(), stopped_words(study), unestablished_words(names)),
     ]
     return Summary(
@@ -168,7 +169,7 @@ def _discovery(study: StudyRecord) -> Answer:
             sure.append(called(name, *beside))
     found = []
     if present is not None:
-        found = [finding_words(present, one) for one in present.findings]
+        found = list(map(partial(finding_words, present), present.findings))
     return said_of(study, "discovery", sure=sure, unsure=unsure, found=found)
 
 
