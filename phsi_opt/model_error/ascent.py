@@ -165,13 +165,11 @@ def slopes(
     owner = np.r_[np.full(system.border.n_theta, -1), system.border.owner]
     n_functions = len(disturbances.functions)
     coefficients = [np.flatnonzero(owner == k) for k in range(n_functions)]
-    of_noise = _shifts_by_noise(system, channels)
-    of_processes = [2 * one.mean for one in components]
-    of_processes += [one.moved_by_time for one in components]
-    effects = [one.site.effects for one in components] * 2
-    changes = [of_noise]
-    for effect, moved in zip(effects, of_processes, strict=True):
-        changes.append((effect @ moved)[:, None])
+    changes = [_shifts_by_noise(system, channels)]
+    for one in components:
+        changes.append((one.site.effects @ (2 * one.mean))[:, None])
+    for one in components:
+        changes.append((one.site.effects @ one.moved_by_time)[:, None])
     for places in coefficients:
         step = likelihood.border_in_dynamics[:, places] @ system.border.estimate[places]
         changes.append(np.concatenate([np.zeros(problem.n_values), 2 * step])[:, None])

@@ -79,13 +79,16 @@ class Border:
     @classmethod
     def sum(cls, borders: Sequence["Border"]) -> "Border":
         """Of several records together."""
-        return replace(
-            borders[0],
-            information=np.sum([border.information for border in borders], axis=0),
-            gradient=np.sum([border.gradient for border in borders], axis=0),
-            constant=sum(border.constant for border in borders),
-            log_constant=sum(border.log_constant for border in borders),
-        )
+        total, *others = borders
+        for border in others:
+            total = replace(
+                total,
+                information=total.information + border.information,
+                gradient=total.gradient + border.gradient,
+                constant=total.constant + border.constant,
+                log_constant=total.log_constant + border.log_constant,
+            )
+        return total
 
     def tilted(self, slope: np.ndarray) -> "Border":
         """With a further term of the log likelihood, of this slope in the parameters.

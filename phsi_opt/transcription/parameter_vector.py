@@ -9,6 +9,7 @@ sees numbers near one whatever the units are; they are found in
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any
 
 import casadi as ca
@@ -73,11 +74,11 @@ class Theta:
 
     @property
     def lower(self) -> np.ndarray:
-        return np.array([entry.parameter.lower for entry in self.entries])
+        return np.array(list(map(attrgetter("parameter.lower"), self.entries)))
 
     @property
     def upper(self) -> np.ndarray:
-        return np.array([entry.parameter.upper for entry in self.entries])
+        return np.array(list(map(attrgetter("parameter.upper"), self.entries)))
 
     def weights(self, l1: Mapping[str, float]) -> np.ndarray:
         """Weight of each entry in an L1 term, (n_theta,), from weights by slot."""
