@@ -575,7 +575,7 @@ def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     d = cases(problem)[kind]
     coordinates = coordinates_of(d, (0,))
     likelihood = MarginalLikelihood(problem, d, moving)
-    found = ascent.climbed(likelihood, coordinates)
+    found = ascent.climbed(likelihood, coordinates, 25)
     about = found.coordinates
     dense = Dense.of(problem, moving)
     white = cases(problem)["white"]
@@ -601,7 +601,7 @@ def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     # An ascent ends at gains of 0.03, and with slopes from few random signs.
     assert highest - (found.log_evidence - constant) < 0.2
     # That of a brief re-fit gives a few of its steps away, and little evidence.
-    brief = ascent.climbed(likelihood, coordinates, least_gain=0.2)
+    brief = ascent.climbed(likelihood, coordinates, 25, least_gain=0.2)
     assert found.log_evidence - 0.4 < brief.log_evidence
     assert brief.log_evidence <= found.log_evidence
 

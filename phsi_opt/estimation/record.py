@@ -261,7 +261,7 @@ def _most_likely_states(
     along = (record.aligned, sigma, likelihood_of(fit), model)
     likely = partial(maximum_along, *along, parameters=record.parameters)
     state = likely(guess, steps)
-    finer = 4
+    finer = 4  # times as many steps, twice at most, and not where they are many
     for _ in range(2):
         if state is None or finer * state.nodes.size > 50_000:
             break

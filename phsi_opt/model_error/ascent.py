@@ -235,7 +235,7 @@ class Evidence:
 def climbed(
     likelihood: MarginalLikelihood,
     coordinates: Coordinates,
-    most_steps: int = 25,
+    most_steps: int,
     worth: float = -np.inf,
     least_gain: float = 0.03,
 ) -> Evidence:
