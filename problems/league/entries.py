@@ -14,7 +14,7 @@ import numpy as np
 import phsi_opt as ph
 from problems.league import f16, robot
 from problems.measured import machines, storages, vibrations
-from problems.measured.machines import Array, positive
+from problems.measured.machines import positive
 
 
 @dataclass(frozen=True)
@@ -54,21 +54,12 @@ class Entry:
     error: Callable[..., float] | None = None
 
 
-def _record(t: Array, y: Array, u: Array, states: str, hold: str) -> ph.Measurements:
-    """One run of which the first state is measured, in SI units."""
-    names = states.split()
-    x = machines.with_unmeasured(y, n=len(names) - 1)
-    return ph.Measurements.from_arrays(
-        t, x, u[:, None], states=names, inputs=["u"], hold=hold
-    )
-
-
 # --- EMPS, a linear drive
 
 
 def emps(name: str) -> ph.Measurements:
     """Position (m) and motor force (N) at 1 kHz."""
-    return _record(*machines.emps_record(name), "q p", "zero")
+    return machines.one_run(*machines.emps_record(name), "zero")
 
 
 def emps_pieces(_: ph.Measurements) -> tuple[ph.Measurements, ph.Measurements]:
@@ -89,7 +80,7 @@ ARROW_NO_EXTRAPOLATION = (100, 32_100)
 def box(first: int, end: int) -> ph.Measurements:
     """Samples of output (V) and input (V), which is a smooth curve, without units."""
     (run,) = machines.box(first, end).trajectories
-    return _record(run.t, run.x[:, 0], run.u[:, 0], "q p", "cubic")
+    return machines.one_run(run.t, run.x[:, 0], run.u[:, 0], "cubic")
 
 
 def box_physics() -> ph.PseudoHamiltonian:

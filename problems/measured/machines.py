@@ -12,6 +12,7 @@ from scipy.io import loadmat
 from scipy.signal import resample_poly
 
 import phsi_opt as ph
+from phsi_opt.data.checks import Hold
 from phsi_opt.model.terms import Dictionary
 from problems.tools.data_paths import folder
 
@@ -26,6 +27,13 @@ def positive(start: float, unit: str = "", lower: float = 0.0) -> ph.Parameter:
 def with_unmeasured(*measured: Array, n: int = 1) -> Array:
     """Measured channels as columns, and ``n`` states that nobody measured."""
     return np.column_stack([*measured, np.full((len(measured[0]), n), np.nan)])
+
+
+def one_run(t: Array, q: Array, u: Array, hold: Hold) -> ph.Measurements:
+    """A run of a position q and an input u, (n_samples,); nobody measured p."""
+    return ph.Measurements.from_arrays(
+        t, with_unmeasured(q), u[:, None], states=["q", "p"], inputs=["u"], hold=hold
+    )
 
 
 def first_two(n: int, data: ph.Measurements) -> tuple[ph.Measurements, ph.Measurements]:

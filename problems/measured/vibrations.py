@@ -9,7 +9,7 @@ import numpy as np
 from scipy.io import loadmat
 
 import phsi_opt as ph
-from problems.measured.machines import Array, oscillator, positive
+from problems.measured.machines import Array, one_run, oscillator, positive
 from problems.tools.data_paths import folder
 
 # --- Bouc and Wen's oscillator
@@ -21,14 +21,7 @@ N_BOUC_WEN = 1000  # samples that a study fits; as many judge
 def bouc_wen(name: str) -> ph.Measurements:
     """Displacement (m) and force (N); the force is band-limited: a smooth curve."""
     u, y = (_only_array(f"{what}{name}.mat") for what in "uy")
-    return ph.Measurements.from_arrays(
-        np.arange(len(u)) / BOUC_WEN_RATE,
-        np.c_[y, np.full_like(y, np.nan)],
-        u[:, None],
-        states=["q", "p"],
-        inputs=["u"],
-        hold="cubic",
-    )
+    return one_run(np.arange(len(u)) / BOUC_WEN_RATE, y, u, "cubic")
 
 
 def _only_array(name: str) -> Array:
