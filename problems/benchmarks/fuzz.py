@@ -26,7 +26,7 @@ import tomllib
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -72,6 +72,7 @@ from problems.benchmarks.fuzz_inputs import (
     spring,
     usual,
 )
+from problems.benchmarks.stress import Row, table
 from problems.tools import provenance
 from problems.tools.command_line import chosen, option
 from problems.tools.pages import render
@@ -478,12 +479,6 @@ class Tally:
     seconds: float = 0.0
     slowest: float = 0.0
 
-    def __add__(self, other: "Tally") -> "Tally":
-        seconds = self.seconds + other.seconds
-        slowest = max(self.slowest, other.slowest)
-        faults = {**other.faults, **self.faults}
-        return Tally(self.counts + other.counts, faults, seconds, slowest)
-
 
 def tried(target: Target, given_input: Any, tally: Tally) -> None:
     """Try one input, and count what became of it."""
@@ -562,34 +557,38 @@ def fuzzed(
 
 
 def fuzzed_entry(case: tuple[str, int, int]) -> Arguments:
-    """The tally of an entry, as it is kept in a folder."""
+    """What became of the inputs of an entry, as it is kept in a folder."""
     name, n_inputs, first_seed = case
     target = targets()[name]
-    return vars(fuzzed(target, n_inputs, first_seed, target.each()))
+    tally = fuzzed(target, n_inputs, first_seed, target.each())
+    counts = {outcome: tally.counts[outcome] for outcome in (*OUTCOMES, *FAULTS)}
+    n_tried = sum(counts[outcome] for outcome in OUTCOMES)
+    times = {"seconds": tally.seconds, "slowest": tally.slowest}
+    return {"inputs": n_tried, **counts, **times, "faults": tally.faults}
 
 
-def page(tallies: Mapping[str, Tally]) -> str:
+def page(rows: pd.DataFrame) -> str:
     """A row per entry, and all of them together."""
-    rows = []
     faults = []
-    for name, one in [*tallies.items(), ("all", sum(tallies.values(), Tally()))]:
-        counts = {outcome: one.counts[outcome] for outcome in (*OUTCOMES, *FAULTS)}
-        n_inputs = sum(one.counts[outcome] for outcome in OUTCOMES)
-        seconds = {"seconds": f"{one.seconds:.1f}", "slowest": f"{one.slowest:.2f}"}
-        rows.append({"entry": name, "inputs": n_inputs, **counts, **seconds})
-        faults += [{"entry": name, "fault": fault} for fault in one.faults]
-    n_all = len(tallies) and len(faults) // 2
+    for entry, found in zip(rows["entry"], rows["faults"], strict=True):
+        faults += [{"entry": entry, "fault": fault} for fault in found]
+    shown = rows.drop(columns="faults")
+    total = {name: shown[name].sum() for name in shown.columns[1:]}
+    total["slowest"] = shown["slowest"].max()
+    shown.loc[len(shown)] = {"entry": "all", **total}
+    shown["seconds"] = shown["seconds"].map("{:.1f}".format)
+    shown["slowest"] = shown["slowest"].map("{:.2f}".format)
     return render(
         "benchmarks/pages/fuzz.md",
-        rows=rows,
-        all=rows[-1],
-        faults=faults[:n_all],
+        rows=shown,
+        all=shown.iloc[-1],
+        faults=faults,
         n_odd=len(list(each_odd())),
     )
 
 
-def main() -> None:
-    """Try every entry, and write the page where all were tried."""
+def fuzzed_entries() -> Iterator[Row]:
+    """Try every entry, or those that are named."""
     n_inputs = int(option("inputs", "20000"))
     first_seed = int(option("seed", "36000"))
     names = [name for name in targets() if not chosen() or name in chosen()]
@@ -598,23 +597,14 @@ def main() -> None:
     for name in names:
         share = SHARES.get(name, 1.0) / total
         cases[name] = (name, math.ceil(n_inputs * share), first_seed)
-    tallies = {}
+    folder = option("folder", "") or None
+    of = f"{provenance.commit()} {n_inputs} {first_seed}"
     with ProcessPoolExecutor(1) as alone:
-        folder = option("folder", "") or None
-        of = f"{provenance.commit()} {n_inputs} {first_seed}"
-        done = ph.sweep(fuzzed_entry, cases, executor=alone, folder=folder, of=of)
-        for one in done:
-            tally = Tally(**one.result)
-            tally.counts = Counter(tally.counts)
-            tallies[one.key] = tally
-            print(f"{one.key}: {dict(tally.counts)}, {tally.seconds:.1f} s", flush=True)
-            for fault, example in tally.faults.items():
-                print(f"    {fault}\n        {example}", flush=True)
-    if not chosen():
-        seconds = sum(tally.seconds for tally in tallies.values())
-        text = page({name: tallies[name] for name in names})
-        provenance.write("fuzz.md", text, seconds=seconds)
+        for one in ph.sweep(fuzzed_entry, cases, executor=alone, folder=folder, of=of):
+            yield {"entry": one.key, **one.result}
 
 
 if __name__ == "__main__":
-    main()
+    found = table(fuzzed_entries())
+    if not chosen():
+        provenance.write("fuzz.md", page(found), seconds=found["seconds"].sum())
