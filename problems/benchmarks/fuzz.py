@@ -72,7 +72,7 @@ from problems.benchmarks.fuzz_inputs import (
     spring,
     usual,
 )
-from problems.benchmarks.stress import Row, table
+from problems.benchmarks.stress import Row, collected
 from problems.tools import provenance
 from problems.tools.command_line import chosen, option
 from problems.tools.pages import render
@@ -605,6 +605,6 @@ def fuzzed_entries() -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    found = table(fuzzed_entries())
+    found = collected(fuzzed_entries())
     if not chosen():
         provenance.write("fuzz.md", page(found), seconds=found["seconds"].sum())

@@ -31,9 +31,9 @@ from problems.benchmarks.stress import (
     Row,
     attempts,
     begun,
+    collected,
     record,
     rmse_of_seed,
-    table,
 )
 from problems.tools import provenance
 from problems.tools.command_line import chosen, option
@@ -192,7 +192,7 @@ def rows(each: int) -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    found = table(rows(int(option("each", "6"))))
+    found = collected(rows(int(option("each", "6"))))
     if not chosen():
         page = render(
             "benchmarks/pages/interrupts.md",

@@ -32,9 +32,9 @@ from problems.benchmarks.stress import (
     Row,
     attempts,
     begun,
+    collected,
     record,
     rmse_of_seed,
-    table,
 )
 from problems.tools import provenance
 from problems.tools.command_line import option
@@ -223,6 +223,6 @@ if __name__ == "__main__":
         swept(Path.cwd())
     else:
         multiprocessing.set_start_method("spawn")
-        found = table(rows(int(option("each", "18"))))
+        found = collected(rows(int(option("each", "18"))))
         page = render("benchmarks/pages/kills.md", rows=found)
         provenance.write("kills.md", page)

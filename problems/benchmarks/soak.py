@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import phsi_opt as ph
-from problems.benchmarks.stress import MODEL, Row, record, table
+from problems.benchmarks.stress import MODEL, Row, collected, record
 from problems.tools import provenance
 from problems.tools.command_line import option
 from problems.tools.pages import render
@@ -70,7 +70,7 @@ def soaked(n_fits: int, n_studies: int) -> Iterator[Row]:
 
 if __name__ == "__main__":
     n_fits, n_studies = int(option("fits", "300")), int(option("studies", "30"))
-    found = table(soaked(n_fits, n_studies))
+    found = collected(soaked(n_fits, n_studies))
     if (n_fits, n_studies) == (300, 30):
         memory = found["memory (MB)"]
         page = render(

@@ -74,8 +74,8 @@ def attempts(
     return found, n_late, n_wrong
 
 
-def table(rows: Iterable[Row]) -> pd.DataFrame:
-    """The rows, each printed when it is there."""
+def collected(rows: Iterable[Row]) -> pd.DataFrame:
+    """The rows as a table, each printed when it is there."""
     found = []
     for row in rows:
         print(row, flush=True)

@@ -1,8 +1,8 @@
 """Pages of results/ from templates: Markdown with Jinja, its prose wrapped as in code.
 
 A template lies in the folder ``pages`` of its room. Filters: ``table``, ``frame`` and
-``block`` show data, ``listed`` is "a, b and c", ``number`` two digits, ``fmt`` any
-format of Python: ``{{ share|fmt(".0%") }}``.
+``block`` show data, ``listed`` is "a, b and c", ``fmt`` any format of Python:
+``{{ share|fmt(".0%") }}``.
 """
 
 import re
@@ -65,7 +65,6 @@ _TEMPLATES.filters |= {
     "fmt": format,
     "frame": _frame,
     "listed": _listed,
-    "number": number,
     "table": table,
 }
 
