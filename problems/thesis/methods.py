@@ -2,8 +2,8 @@
 seed) -> a result.
 
 A result has `simulate`, `equations`, `parameters`, `seconds` and `loss_value`. ``kind``
-is "clean" or "noisy": the thesis trains with other settings on clean data. Torch and
-pysindy are imported where they are used.
+is "clean" or "noisy": the thesis trains with other settings on clean data. Pysindy is
+imported where it is used.
 """
 
 import time
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import phsi_opt as ph
-from phsi_opt.baselines.gradient_descent import Descent
+from phsi_opt.baselines.gradient_descent import Descent, gradient_descent
 from phsi_opt.model.terms import Dictionary, Term
 from problems.thesis.scores import phsi_loss
 from problems.thesis.systems import (
@@ -128,8 +128,6 @@ def descent(
 
     ``start`` is "thesis" or "normal".
     """
-    from phsi_opt.baselines.gradient_descent import gradient_descent
-
     chosen = replace(descent_settings(system, kind, settings), start=start)
     return gradient_descent(descent_model(system), data, chosen, seed)
 
@@ -169,8 +167,6 @@ def bsi_descent(
 
     Without L1: appendix B has it for PHSI alone, and BSI has no H to weigh.
     """
-    from phsi_opt.baselines.gradient_descent import gradient_descent
-
     chosen = replace(descent_settings(system, kind, TUNED), l1={})
     return gradient_descent(system.first_order(), data, chosen, seed)
 
