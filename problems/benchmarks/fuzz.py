@@ -113,7 +113,8 @@ RESULTS = {
 }
 RESULTS |= {"Complaint", "Verdict", "Model", "StudyFile"}
 # for other rooms of the package; pictures; and readers that are tried with files below
-INNER = {"built", "with_parameters", "rhs_slopes", "from_content", "index", "terms_at"}
+INNER = {"built", "with_parameters", "rhs_slopes", "from_content", "index"}
+INNER |= {"terms_at", "placed_at"}
 INNER |= {"trajectory_number", "from_tables", "function", "chart", "sympy"}
 INNER |= {"from_excel", "from_mat", "from_mdf", "from_tdms", "load"}
 # Each of these files is read in a process of its own, for up to a second and a half.
