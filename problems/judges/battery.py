@@ -1,13 +1,14 @@
 """The battery on fresh seeds at a fixed cost.
 
     python -m problems.judges.battery --first=SEED [--minutes=60] [--processes=2]
-        [--name=battery]
+        [--name=battery] [--rows=ROW,ROW]
 
 The cases are a list that follows from the seed and the cost alone: rounds over all
 effects, noises and kinds (`cases.IN_ROUND`), each in a random order, cut where
 `SECONDS_A_CASE` processor seconds each have used up the minutes of all processes. Every
 case is kept in results/judges/<name>.json, which is not committed, as it is done; the
-same command goes on where it was interrupted. For other code give another --name.
+same command goes on where it was interrupted. For other code give another --name. With
+--rows the list has cases of these rows alone.
 
 Seeds from 30000 on are for pages; try changes of the code on those from 10000 on, with
 --name=try_..., whose files are not committed.
@@ -17,6 +18,8 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Collection
 
 import numpy as np
 import pandas as pd
@@ -37,10 +40,12 @@ COUNTED += ["verdict", "base_error", "answer"]
 SECONDS_A_CASE = 7.0  # of a processor: the mean of a round on a busy machine
 
 
-def task_list(first: int, minutes: float, processes: int) -> list[Task]:
+def task_list(
+    first: int, minutes: float, processes: int, rows: Collection[str] = ()
+) -> list[Task]:
     """The cases that cost so much."""
     n_tasks = round(60 * minutes * processes / SECONDS_A_CASE)
-    return rounds(first, IN_ROUND, n_tasks)
+    return rounds(first, IN_ROUND, n_tasks, rows)
 
 
 def tables(
@@ -87,7 +92,8 @@ def main() -> None:
     first = int(option("first", ""))
     processes = int(option("processes", "2"))
     name = option("name", "battery")
-    tasks = task_list(first, float(option("minutes", "60")), processes)
+    rows = [row for row in option("rows", "").split(",") if row]
+    tasks = task_list(first, float(option("minutes", "60")), processes, rows)
     file = f"{name}.json"
     done = kept(file)
     run(file, examined, tasks, done, processes)

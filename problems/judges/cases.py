@@ -5,7 +5,7 @@ for what). Records are results of the code of one day, as JSON in results/judges
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
@@ -53,13 +53,16 @@ SAID = ("verdict", "findings", "answer", "first", "outcome")  # of a record, as 
 Record = dict[str, Any]
 
 
-def rounds(first: int, numbers: Mapping[str, int], n_tasks: int) -> list[Task]:
+def rounds(
+    first: int, numbers: Mapping[str, int], n_tasks: int, rows: Collection[str] = ()
+) -> list[Task]:
     """The first tasks of round after round, each in a random order of its own.
 
-    Every round has new seeds, from ``first`` on.
+    Every round has new seeds, from ``first`` on; of some ``rows`` alone, if given.
     """
     every = (task for k in count() for task in one_round(first, numbers, k))
-    return list(islice(every, n_tasks))
+    chosen = (task for task in every if not rows or task.row in rows)
+    return list(islice(chosen, n_tasks))
 
 
 def one_round(first: int, numbers: Mapping[str, int], k: int = 0) -> list[Task]:
