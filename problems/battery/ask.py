@@ -5,6 +5,7 @@ machines of the field a study that goes on by itself. Whatever fails is recorded
 counts as wrong or silent.
 """
 
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -280,6 +281,11 @@ def is_right_outside(hidden: str, diagnosis: ph.Diagnosis) -> bool:
     return bool(named) and all(named)
 
 
+def is_of_states(name: str) -> bool:
+    """Whether an effect is an unknown function of a state or its effort."""
+    return re.match(r"unknown (force f|loss r)\((?!u)", name) is not None
+
+
 def as_text(found: set[Finding]) -> str:
     """Findings by semicolons, members of a class by "or"; sorted."""
     return "; ".join(sorted(" or ".join(sorted(each)) for each in found))
@@ -301,6 +307,9 @@ def _field_answer(case: Case) -> Found:
     verdicts = []
     for diagnosis, _ in steps_of(study, MOST_STEPS[FIELD]):
         found |= findings_of(diagnosis)
+        if case.has_function:
+            # Of what is beside the model it is true that a function is missing.
+            found = {each for each in found if not all(map(is_of_states, each))}
         verdicts.append(str(diagnosis.verdict))
     last = study.history.iloc[-1]
     return {

@@ -133,6 +133,7 @@ class FieldRow:
             noise=noise,
             ratio=sized.ratio,
             size=sized.size,
+            has_function=beside == field.FUNCTION and self.model_error > 0,
         )
 
     def _start(self, rng: np.random.Generator) -> float:

@@ -64,6 +64,7 @@ class Case:
         clean: The training runs without noise, weighed by their true noise.
         sigma: The standard deviation of the noise by state.
         test_noise: What was added to the held-out runs.
+        has_function: Whether a function of the states acts beside model and truths.
     """
 
     model: ph.Model
@@ -77,6 +78,7 @@ class Case:
     clean: ph.Measurements | None = None
     sigma: Array = field(default_factory=lambda: np.zeros(0))
     test_noise: Array = field(default_factory=lambda: np.zeros(0))
+    has_function: bool = False
 
     @property
     def places(self) -> set[str]:
