@@ -49,7 +49,7 @@ from phsi_opt.diagnosis.refit import (
 from phsi_opt.diagnosis.search import Combination, Search
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect, is_wave
-from phsi_opt.model.functions import is_function, is_unknown
+from phsi_opt.model.functions import is_unknown
 from phsi_opt.presentation.numbers import enumerated
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -170,11 +170,12 @@ class _Judge:
         self.rivals = [one for one in functions.candidates if not one.lost]
         if not self.functions:
             return
-        # A function of many numbers bends to the error of a model, too.
+        # A law of the catalogue is asked before a function, which bends to the error of
+        # a model too, unless it is far less likely.
         functions.candidates = [
             one
             for one in functions.candidates
-            if not is_function(one.effect) or highest < MOST_OF_IT * one.log_evidence
+            if highest < MOST_OF_IT * one.log_evidence
         ]
         self.ranking.join(functions)
 
@@ -318,15 +319,19 @@ class _Judge:
         return self.rival(proposal)
 
     def rival(self, proposal: _Proposal) -> str:
-        """An unknown function that is far likelier; empty where there is none."""
-        evidence = [one.log_evidence for one in self.rivals]
+        """A function that is far likelier, of a quantity or of time; empty: none is."""
+        waves = [
+            one for one in self.candidates if one.was_weighed and is_wave(one.effect)
+        ]
+        rivals = [*self.rivals, *waves]
+        evidence = [one.log_evidence for one in rivals]
         highest = max(evidence, default=-np.inf)
         # Every function contains waves: it need not be far likelier than these.
         has_wave = any(map(is_wave, proposal.effects))
         least = highest if has_wave else MOST_OF_IT * highest
         if not proposal.log_evidence < least:
             return ""
-        function = self.rivals[evidence.index(highest)]
+        function = rivals[evidence.index(highest)]
         return (
             f"{function.name} is more likely (log evidence {highest:.1f} against "
             f"{proposal.log_evidence:.1f})"

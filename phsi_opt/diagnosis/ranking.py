@@ -16,9 +16,11 @@ from phsi_opt.criteria import (
 from phsi_opt.diagnosis.candidate import Candidate, at_limit
 from phsi_opt.diagnosis.refit import DiagnosedModel, fitted_by_steps
 from phsi_opt.errors import SolveError
+from phsi_opt.initialization.relative_guesses import values_at
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.functions import formulas_like, unknown_functions
 from phsi_opt.model.laws import law_of
+from phsi_opt.model.parameters import Scan
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
@@ -27,6 +29,7 @@ from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.sweep import Progress, ahead
 
 NO_EVIDENCE = "no states follow the measurements with it"
+SLOW = "the record has only {:.1f} of its periods, and any slow change looks like that"
 # Leaders of a list of screening that are weighed from a second place.
 MOST_LEADERS = 3
 
@@ -97,8 +100,7 @@ class Ranking:
             held_out = weighed.log_held_out - alone.log_held_out
         gain = weighed.log_training - alone.log_training
         return replace(
-            # At a bound: no record tells it, or a smaller law does as well.
-            _expected(base, one, at_limit(weighed.model, names, weighed.at_bounds)),
+            _expected(base, one, lost_of(self.record, one.effect, weighed)),
             coefficient=size.value,
             std_error=size.std_error,
             values=weighed.model.values,
@@ -108,6 +110,26 @@ class Ranking:
             was_weighed=True,
             force_left=force_left(weighed, alone, model.rows(one.effect.equation)),
         )
+
+
+def lost_of(record: EvidenceRecord, effect: Effect, weighed: Weighed) -> str:
+    """Why an effect that was weighed is rejected; empty: it is not.
+
+    One of its numbers is at a limit: no record tells it, or a smaller law does as well.
+    Or it is a wave that the record does not repeat.
+    """
+    model = record.base.model
+    names = new_names(model, effect, weighed.names)
+    entries = model.add(effect).entries
+    for name in names:
+        guess = entries[name].parameter.guess
+        if isinstance(guess, Scan):
+            grid = record.weighing.aligned.grid
+            along = values_at(model, grid, record.base.states, guess.variable)
+            turns = weighed.model.values[name] * np.ptp(along) / (2 * np.pi)
+            if turns < 2:  # what repeats was there before
+                return SLOW.format(turns)
+    return at_limit(weighed.model, names, weighed.at_bounds)
 
 
 def force_left(weighed: Weighed, alone: Weighed, equations: Sequence[int]) -> float:

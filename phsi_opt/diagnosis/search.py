@@ -23,14 +23,18 @@ from phsi_opt.criteria import (
     LEAST_FINDING,
     STRONG_EVIDENCE,
 )
-from phsi_opt.diagnosis.candidate import at_limit
-from phsi_opt.diagnosis.ranking import Ranking, force_left, screened_beside, weighed_of
+from phsi_opt.diagnosis.ranking import (
+    Ranking,
+    force_left,
+    lost_of,
+    screened_beside,
+    weighed_of,
+)
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.numbers import enumerated
-from phsi_opt.screening.effect_size import new_names
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import Screened
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
@@ -270,8 +274,7 @@ class Search:
         base = self.base.fit.model
         tried = 0.0
         for effect in effects:
-            names = new_names(base, effect, weighed.names)
-            if at_limit(weighed.model, names, weighed.at_bounds):
+            if lost_of(record, effect, weighed):
                 return None
             tried += prices[str(effect)]
         equations = [row for effect in effects for row in base.rows(effect.equation)]

@@ -35,7 +35,6 @@ from phsi_opt.screening.linearized_record import Change, LinearizedRecord
 from phsi_opt.screening.sensitivities import Regression, Sensitivities, Trial
 from phsi_opt.statistics import TINY, local_maxima
 
-FEWEST_PERIODS = 2.0  # of a wave: what repeats was there before
 BEYOND_ALL = 1e6  # times the range of a channel, of a size that nothing determines
 SCAN_REFINEMENTS = 2  # rounds of finer values around the best one of a scan
 # Even, and as many logarithmic, frequencies at which the size of a wave's trace is
@@ -104,10 +103,14 @@ class ScoreTest:
         if is_long and (trial.scanned or n_tried > 1):
             part = Sensitivities(linearized.part, trial)
         if trial.frequency and trial.scanned:
-            tried = trial.frequencies
-            n_tried = len(tried)
-            if not n_tried:
+            along = grid.t
+            if trial.scanned != "t":
+                states = linearized.states
+                along = values_at(linearized.model, grid, states, trial.scanned)
+            if not np.ptp(along) > 0:
                 return None
+            tried = frequency_grid(grid, along)
+            n_tried = len(tried)
             if trial.scanned == "t":
                 frequency = _best_in_time(whole, part, trial.frequency, tried)
             else:
@@ -176,32 +179,7 @@ class ScoreTest:
             linear = [name for name in model.free if name not in base.entries]
         if not linear:
             frequency = scanned = None
-        frequencies = np.zeros(0)
-        if frequency and scanned:
-            frequencies = self._frequencies(scanned)
-            model = model.with_parameters(
-                lambda _, parameter: replace(
-                    parameter, lower=float(min(frequencies, default=0.0))
-                ),
-                [frequency],
-            )
-        return Trial(effect, model, linear, tried, frequency, scanned, frequencies)
-
-    def _frequencies(self, variable: str) -> np.ndarray:
-        """Frequencies of waves along a variable that repeat within the record.
-
-        What has fewer than two periods there is any slow change.
-        """
-        linearized = self.linearized
-        grid = linearized.grid
-        along = grid.t
-        if variable != "t":
-            along = values_at(linearized.model, grid, linearized.states, variable)
-        span = float(np.ptp(along))
-        if not span > 0:
-            return np.zeros(0)
-        tried = frequency_grid(grid, along)
-        return tried[tried * span >= FEWEST_PERIODS * 2 * np.pi]
+        return Trial(effect, model, linear, tried, frequency, scanned)
 
     def _expected(
         self, trial: Trial, point: _Point, n_tried: int, price: float

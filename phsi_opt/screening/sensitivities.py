@@ -39,7 +39,6 @@ class Trial:
     frequency: str | None
     # What its wave runs along, where its value is sought; else None.
     scanned: str | None
-    frequencies: np.ndarray  # to try then
 
 
 @dataclass(frozen=True, eq=False)
