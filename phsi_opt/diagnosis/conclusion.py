@@ -49,7 +49,7 @@ from phsi_opt.diagnosis.refit import (
 from phsi_opt.diagnosis.search import Combination, Search
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect, is_wave
-from phsi_opt.model.functions import is_unknown
+from phsi_opt.model.functions import is_function, is_unknown
 from phsi_opt.presentation.numbers import enumerated
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -170,12 +170,11 @@ class _Judge:
         self.rivals = [one for one in functions.candidates if not one.lost]
         if not self.functions:
             return
-        # A law of the catalogue is asked before a function, which bends to the error of
-        # a model too, unless it is far less likely.
+        # A function of many numbers bends to the error of a model, too.
         functions.candidates = [
             one
             for one in functions.candidates
-            if highest < MOST_OF_IT * one.log_evidence
+            if not is_function(one.effect) or highest < MOST_OF_IT * one.log_evidence
         ]
         self.ranking.join(functions)
 

@@ -129,10 +129,15 @@ def formulas_like(model: BaseModel, bells: Effect) -> Iterator[Effect]:
     if is_far or not names.isdisjoint((*INNER, "corner")):
         return
     top = f"{max(abs(low), abs(high)):g}"
-    # A line of its own effort, or of a position, is a law of the catalogue.
-    has_law = place.kind == "f" and place.z not in model.inputs
+    # Of laws of the catalogue: a line of its own effort, or of a position, and dry
+    # friction.
+    laws = []
+    if place.kind == "f" and place.z not in model.inputs:
+        laws.append("{z}")
+    if place.kind == "f" and place.variable == effort_of(model, place.equation):
+        laws += [shape for shape in SHAPES if shape.startswith("tanh")]
     for shape in SHAPES:
-        if has_law and shape == "{z}":
+        if shape in laws:
             continue
         formula = shape.format(z=place.variable, top=top)
         effect = place.named(f"{place.called} like c*{formula}")

@@ -36,10 +36,12 @@ from problems.battery.ask import (
     NAME,
     REASON_LENGTH,
     SILENT,
+    Finding,
     Task,
     answer,
     as_text,
     findings_of,
+    is_of_states,
     is_right_outside,
 )
 from problems.battery.draw import FIRST_VERDICT, ROWS, TABLES, draw
@@ -83,7 +85,10 @@ def examined(task: Task) -> Record:
     try:
         fit = ph.identify(case.model, case.train)
         diagnosis = ph.diagnose(fit, case.train, held_out=case.test)
-        record |= told(names, SILENCE.get(row.kind, ""), diagnosis)
+        found = findings_of(diagnosis)
+        if case.has_function:  # it is true that a function of the states is missing
+            found = {each for each in found if not all(map(is_of_states, each))}
+        record |= told(names, SILENCE.get(row.kind, ""), diagnosis, found)
         if row.kind == "outside":
             record["right"] = is_right_outside(case.hidden, diagnosis)
     # Whatever goes wrong is a case without an answer.
@@ -94,9 +99,10 @@ def examined(task: Task) -> Record:
     return record | {"drawing": round(drawn - began, 2), "seconds": round(seconds, 2)}
 
 
-def told(names: set[str], silence: str, diagnosis: ph.Diagnosis) -> Record:
+def told(
+    names: set[str], silence: str, diagnosis: ph.Diagnosis, found: set[Finding]
+) -> Record:
     """Verdict, names, sizes, ties, and whether they are right."""
-    found = findings_of(diagnosis)
     said = answer(names, found)
     sizes = {}
     for finding in diagnosis.findings:
@@ -105,7 +111,7 @@ def told(names: set[str], silence: str, diagnosis: ph.Diagnosis) -> Record:
     weighed = [one.log_evidence for one in diagnosis.ranking if one.was_weighed]
     return {
         "verdict": str(diagnosis.verdict),
-        "findings": as_text(found),
+        "findings": as_text(findings_of(diagnosis)),
         "sizes": sizes,
         "ties": "" if table.empty else str(table.iloc[0].confusable_with),
         "answer": said,
