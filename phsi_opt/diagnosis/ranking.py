@@ -29,7 +29,9 @@ from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.sweep import Progress, ahead
 
 NO_EVIDENCE = "no states follow the measurements with it"
-SLOW = "the record has only {:.1f} of its periods, and any slow change looks like that"
+UNREPEATED = (
+    "the record has only {:.1f} of its periods, and any slow change looks like that"
+)
 # Leaders of a list of screening that are weighed from a second place.
 MOST_LEADERS = 3
 
@@ -128,7 +130,7 @@ def lost_of(record: EvidenceRecord, effect: Effect, weighed: Weighed) -> str:
             along = values_at(model, grid, record.base.states, guess.variable)
             turns = weighed.model.values[name] * np.ptp(along) / (2 * np.pi)
             if turns < 2:  # what repeats was there before
-                return SLOW.format(turns)
+                return UNREPEATED.format(turns)
     return at_limit(weighed.model, names, weighed.at_bounds)
 
 
