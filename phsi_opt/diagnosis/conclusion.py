@@ -124,7 +124,8 @@ class _Judge:
             doubt = self.doubt(proposal)
             if not doubt:
                 return self.named(proposal)
-            doubts += [(proposal, doubt)] if len(proposal.effects) == 1 else []
+            if len(proposal.effects) == 1:
+                doubts.append((proposal, doubt))
         if not doubts:
             return self.without_effect(Verdict.UNEXPLAINED)
         return self.not_named(*doubts[-1])
@@ -138,6 +139,7 @@ class _Judge:
         search.run()
         least = -np.inf if single is None else single.log_evidence
         together = next(self.together(search, least), None)
+        several = None
         highest = least
         if together is not None:
             highest = together[0].log_evidence
@@ -155,7 +157,7 @@ class _Judge:
         )
         if single is not None and not is_late:
             yield single
-        several = self.several(search, least)
+        several = several or self.several(search, least)
         if several is not None:
             yield several
         if single is not None and is_late:

@@ -223,9 +223,10 @@ class Search:
                 with suppress(SolveError):
                     found = self._take(step.effects, step.prices, next(results)())
                     if found is not None:
+                        name = str(step.further.effect)
+                        expected = _promise(step.further, step.prices[name])
                         gain = found.log_evidence - one.log_evidence
-                        expected = step.promise - one.log_evidence
-                        self._compare(str(step.further.effect), expected, gain)
+                        self._compare(name, expected, gain)
 
     def _compare(self, name: str, expected: float, gain: float) -> None:
         """Note what an effect kept of its promise."""
@@ -241,7 +242,8 @@ class Search:
         for further in screened_beside(LinearizedRecord.beside_force(record), others):
             name = str(further.effect)
             price = self.ranking.price(further)
-            gain = _promise(further, price) * self.kept.get(name, 1.0)
+            gain = _promise(further, price)
+            gain = min(gain, gain * self.kept.get(name, 1.0))
             yield _Step(
                 (*one.effects, further.effect),
                 {**one.prices, name: price},
