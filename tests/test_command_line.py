@@ -22,10 +22,12 @@ from phsi_opt.command_line.app import app, with_names
 from phsi_opt.command_line.job import (
     COMPARE,
     DIAGNOSE,
+    EXPERIMENT,
     FIT,
     GO_THROUGH,
     MEANINGS,
     ExitCode,
+    ExperimentPlan,
     Finished,
     Job,
     Message,
@@ -537,6 +539,25 @@ def test_a_study_takes_up_the_diagnoses_of_the_one_before(diagnosed: Path) -> No
     other = 'runs = ["run 3"]\n[final]\nruns = ["run 2"]'
     diagnosed.write_text(text.replace("share = 0.4", other))
     assert EVIDENCE in lines_and_answer(DIAGNOSE, diagnosed)[0], "other data that judge"
+
+
+def test_an_experiment_is_designed_in_the_units_of_the_data(fitted: Path) -> None:
+    for file in (fitted, fitted.with_name("friction_spring.csv")):
+        text = file.read_text().replace("position_m", "position_mm")
+        text = text.replace("m = 2.5", 'm = { value = 2.5, unit = "kg" }')
+        file.write_text(text.replace('_mm", unit = "m"', '_mm", unit = "mm"'))
+    table = fitted.with_name("next.csv")
+    plan = ExperimentPlan(table, ("q=-2:2", "t=2"), ("p=0",), "k")
+    lines, answer = lines_and_answer(EXPERIMENT, fitted, plan=plan)
+    assert EVIDENCE not in lines
+    assert abs(answer.content["x0"]["q"]) <= 0.002  # m
+    before, after = answer.content["std_errors"]["k"]
+    assert after < before
+    assert "Start at q = " in answer.text and "mm" in answer.text
+    assert table.read_text().startswith("t [s]\n0\n")
+    wrong = ExperimentPlan(table, ("q",))
+    with pytest.raises(ph.ModelError, match="--limit='q'"):
+        lines_and_answer(EXPERIMENT, fitted, plan=wrong)
 
 
 def kept_fit(study: Path) -> ph.Fit | None:

@@ -289,7 +289,7 @@ def test_the_next_step_follows_from_the_verdict() -> None:
     assert partly.startswith("Add friction on p, then diagnose again.")
     apart = told(ph.Verdict.NAMED, of_class)
     assert apart.startswith("Distinguish friction on p from sensor delay on q by")
-    assert "found.separation" in apart
+    assert "study.next_experiment" in apart
 
 
 # ---- in a study ----------------------------------------------------------------------

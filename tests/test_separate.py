@@ -1,22 +1,27 @@
-"""Two effects that a record cannot tell apart: the experiment that would, or that none
-does.
+"""The next experiment: what tells two effects apart that a record does not, or sharpens
+a parameter, within limits.
 """
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 
 import phsi_opt as ph
-from phsi_opt.diagnosis.experiments import Separation, separating
+from phsi_opt.diagnosis.experiments import Experiment, next_experiment
 from phsi_opt.simulation.simulate import free_run
 
 NOISE = 0.02
-SIGMA = np.array([NOISE, np.nan])
+SIGMA = {"q": NOISE}
 OFFSET = {"q": ph.formula("b", b=ph.Parameter(0.0))}
 PUSH = {"p": ph.formula("f", f=ph.Parameter(0.0))}
-Pair = tuple[ph.Fit, ph.Fit, ph.Measurements]
+DRIVEN: Any = {"inputs": ["u"], "F": {"p": ph.formula("u")}}
+LIMITS = {"u": (-60.0, 60.0), "q": (-5.0, 5.0), "p/2.5": (-6.0, 6.0), "t": 6.0}
+REST = {"q": 0.0, "p": 0.0}
+Fits = dict[str, ph.Fit]
 
 
 def hamiltonian(H: Any, R: Any, **slots: Any) -> ph.PseudoHamiltonian:
@@ -28,9 +33,6 @@ def spring(
 ) -> ph.PseudoHamiltonian:
     energy = ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=m)
     return hamiltonian(energy, ph.damping("p"), **slots).with_values({"R_p": 0.5})
-
-
-DRIVEN: Any = {"inputs": ["u"], "F": {"p": ph.formula("u")}}
 
 
 def positions(
@@ -51,103 +53,163 @@ def positions(
     return ph.Measurements.from_arrays([t[-keep:] - t[-keep]], [x], kept, **about)
 
 
-def separated(first: ph.Model, second: ph.Model, data: ph.Measurements) -> Separation:
-    fits = ph.identify(first, data), ph.identify(second, data)
-    return separating(*fits, data, SIGMA)
-
-
 @pytest.fixture(scope="module")
-def shifted() -> Pair:
-    """Positions with an offset, by a sensor's and by a constant force."""
-    data = positions(spring(), np.linspace(0.0, 4.0, 101), [1.0, 0.0], offset=0.1)
-    models = spring(sensor=OFFSET), spring().add("constant force", "p")
-    first, second = (ph.identify(model, data) for model in models)
-    return first, second, data
-
-
-@pytest.fixture(scope="module")
-def resonant() -> Pair:
+def resonant() -> tuple[Fits, ph.Measurements]:
     """A steady vibration at one frequency: it tells k - m omega^2, not k or m."""
     t = np.linspace(0.0, 60.0, 1501)
     u = 60.0 * np.cos(3.0 * t)[:, None]
     data = positions(spring(46.0, **DRIVEN), t, [0.0, 0.0], u, keep=201)
     stiff = ph.identify(spring(k=ph.Parameter(44.0, lower=1.0), **DRIVEN), data)
     heavy = ph.identify(spring(m=ph.Parameter(2.0, lower=0.1), **DRIVEN), data)
-    return stiff, heavy, data
+    return {"stiff": stiff, "heavy": heavy}, data
 
 
 @pytest.fixture(scope="module")
-def found(resonant: Pair) -> Separation:
-    return separating(*resonant, SIGMA)
+def found(resonant: tuple[Fits, ph.Measurements]) -> Experiment:
+    return next_experiment(*resonant, SIGMA, LIMITS, REST)
 
 
-def test_a_sensor_offset_and_a_constant_force_are_the_same_on_a_linear_spring(
-    shifted: Pair,
+def test_a_steady_vibration_hides_what_a_designed_input_shows(
+    resonant: tuple[Fits, ph.Measurements], found: Experiment
 ) -> None:
-    found = separating(*shifted, SIGMA)
-    assert found.sentence.endswith("the two models are equivalent")
-    # Starts, a shifted start, a longer record, the momentum.
-    assert len(found.table) >= 7
-    assert not found.table["separates"].any()
+    fits, _ = resonant
+    response = 40.0 - fits["heavy"].values["m"] * 9.0
+    assert fits["stiff"].values["k"] - 2.5 * 9.0 == pytest.approx(response, rel=0.02)
+    assert min(found.log_bayes.values()) > 1000
+    assert "expected log Bayes factor" in found.sentence
+    assert found.t[-1] == pytest.approx(6.0, abs=0.05)
 
 
-def test_on_a_hardening_spring_a_longer_record_tells_an_offset_from_a_force() -> None:
+def test_the_limits_hold_along_the_true_motion(
+    resonant: tuple[Fits, ph.Measurements], found: Experiment
+) -> None:
+    x = ph.simulate(resonant[0]["stiff"].model, found.t, [0.0, 0.0], found.u)
+    assert np.all(np.abs(found.u) <= 60.0 + 1e-6)
+    assert np.max(np.abs(x[:, 0])) <= 5.0 * 1.001
+    speed = np.max(np.abs(x[:, 1] / 2.5))
+    assert 5.0 < speed <= 6.0 * 1.001  # it uses what is allowed
+
+
+def test_the_expected_factor_is_what_a_search_over_the_parameters_leaves(
+    resonant: tuple[Fits, ph.Measurements], found: Experiment
+) -> None:
+    """Reference: SciPy's least squares on simulations of record and experiment."""
+    fits, data = resonant
+    run = data.trajectories[0]
+    stiff, heavy = fits["stiff"], fits["heavy"]
+    runs = ((run.t, run.u, stiff.states[0][0]), (found.t, found.u, np.zeros(2)))
+    truth = [free_run(stiff.model, t, x0, u)[:, 0] for t, u, x0 in runs]
+
+    def misfit(z: np.ndarray, n_runs: int) -> np.ndarray:
+        model = heavy.model.with_values(dict(zip(heavy.model.free, z[:2], strict=True)))
+        left = []
+        for k, (t, u, _) in enumerate(runs[:n_runs]):
+            q = free_run(model, t, z[2 + 2 * k : 4 + 2 * k], u)[:, 0]
+            left.append((q - truth[k]) / NOISE)
+        return np.concatenate(left)
+
+    cost = []
+    for n_runs in (1, 2):
+        begin = np.r_[heavy.model.theta, heavy.states[0][0], np.zeros(2)]
+        best = least_squares(misfit, begin[: 2 + 2 * n_runs], "3-point", args=(n_runs,))
+        cost.append(best.cost)
+    assert found.log_bayes["stiff"] == pytest.approx(cost[1] - cost[0], rel=0.02)
+
+
+def test_the_same_seed_designs_the_same_experiment(
+    resonant: tuple[Fits, ph.Measurements], found: Experiment
+) -> None:
+    again = next_experiment(*resonant, SIGMA, LIMITS, REST)
+    np.testing.assert_array_equal(again.u, found.u)
+
+
+def test_an_input_for_one_parameter_tells_it_better_than_the_record_as_long(
+    resonant: tuple[Fits, ph.Measurements],
+) -> None:
+    fits, data = resonant
+    only = {"stiff": fits["stiff"]}
+    found = next_experiment(only, data, SIGMA, {"u": (-60.0, 60.0)}, sharpen="R_p")
+    before, after = found.std_errors["R_p"]
+    # A second record like the first would leave 1 / sqrt(2).
+    assert after < 0.95 * before / np.sqrt(2)
+    assert "reduces the standard error of R_p" in str(found)
+
+
+def test_an_offset_and_a_force_are_the_same_on_a_linear_spring() -> None:
+    data = positions(spring(), np.linspace(0.0, 4.0, 101), [1.0, 0.0], offset=0.1)
+    models = {"sensor": spring(sensor=OFFSET), "force": spring(F=PUSH)}
+    fits = {name: ph.identify(model, data) for name, model in models.items()}
+    found = next_experiment(fits, data, SIGMA)
+    assert found.sentence.startswith("No experiment within these limits distinguishes")
+
+
+def test_on_a_hardening_spring_a_larger_start_tells_an_offset_from_a_force() -> None:
     parts = ph.formula("20*q**2 + 300*q**4/4 + p**2/5"), {"p": ph.formula("0.5")}
     sensor, force = hamiltonian(*parts, sensor=OFFSET), hamiltonian(*parts, F=PUSH)
     data = positions(sensor, np.linspace(0.0, 3.0, 151), [0.1, 0.0], offset=0.1)
-    found = separated(sensor, force, data)
-    table = found.table.set_index("experiment")
-    longer = table.loc["a record 3 times as long"]
-    assert longer["separates"] and longer["separation"] > 2 * found.in_record
-    # A start further out is imitated by another force: each by nearly as much as here.
-    further = table.loc["initial states 3 times as far from the mean"]
-    assert further["separation"] == pytest.approx(found.in_record, rel=0.1)
-    assert "noise standard deviations; in this record by" in found.sentence
+    models = {"sensor": sensor, "force": force}
+    fits = {name: ph.identify(model, data) for name, model in models.items()}
+    near = next_experiment(fits, data, SIGMA)
+    far = next_experiment(fits, data, SIGMA, {"q": (-1.0, 1.0)})
+    assert far.kind == "start" and abs(far.x0["q"]) > 0.9
+    assert min(far.log_bayes.values()) > 5 * min(near.log_bayes.values())
+    assert "Start at q = " in far.sentence
 
 
-def test_a_steady_vibration_hides_what_other_frequencies_show(resonant, found) -> None:
-    stiff, heavy, data = resonant
-    # The two models respond alike at the frequency of the record.
-    response = 40.0 - heavy.values["m"] * 9.0
-    assert stiff.values["k"] - 2.5 * 9.0 == pytest.approx(response, rel=0.02)
-    table = found.table.set_index("experiment")
-    assert found.in_record < 0.2
-    sines = [name for name in table.index if "a sine of period" in name]
-    assert len(sines) == 3
-    assert table.loc[sines, "separation"].max() > 5.0
-    assert any("sweep of periods" in name for name in table.index)
-    assert table["separation"].is_monotonic_decreasing
-    assert separating(stiff, heavy, data, SIGMA).table.equals(found.table)
+def test_delays_are_told_from_lags_by_the_input() -> None:
+    """Delayed inputs are exact in the design, too."""
+    t = np.linspace(0.0, 10.0, 101)
+    u = np.sin(0.3 * t)[:, None]
+    body = ph.FirstOrder(["T"], {"T": "-0.5*T + b*u"}, inputs=["u"])
+    late, slow = body.add("input delay", "T"), body.add("input lag", "T")
+    truth = late.with_values({"b": 1.0, "delay_u_T": 0.35})
+    y = free_run(truth, t, [0.0], u)
+    y += 0.005 * np.random.default_rng(1).normal(size=y.shape)
+    data = ph.Measurements.from_arrays([t], [y], [u], states=["T"], inputs=["u"])
+    loss = ph.MaximumLikelihood(noise={"T": 0.005})
+    models = {"delay": late, "lag": slow}
+    fits = {name: ph.identify(model, data, loss) for name, model in models.items()}
+    assert abs(fits["delay"].bic - fits["lag"].bic) / 2 < 3.0
+    found = next_experiment(fits, data, {"T": 0.005})
+    again = free_run(truth, found.t, [0.0], found.u)
+    again += 0.005 * np.random.default_rng(2).normal(size=again.shape)
+    both = ph.Measurements.from_arrays(
+        [t, found.t], [y, again], [u, found.u], states=["T"], inputs=["u"]
+    )
+    delay, lag = (ph.identify(fit.model, both, loss) for fit in fits.values())
+    reached = (lag.bic - delay.bic) / 2
+    assert reached > 4.6
+    assert reached == pytest.approx(found.log_bayes["delay"], rel=0.2)
 
 
-def test_the_separation_is_what_a_search_over_the_parameters_leaves(
-    resonant: Pair, found: Separation
+def test_an_experiment_is_written_for_the_rig(
+    found: Experiment, tmp_path: Path
 ) -> None:
-    """Reference: SciPy's least squares on simulations, for the same record with the
-    momentum measured too.
-    """
-    stiff, heavy, data = resonant
-    run = data.trajectories[0]
+    table = pd.read_csv(found.to_csv(tmp_path / "next.csv"))
+    assert list(table) == ["t [s]", "u"]
+    np.testing.assert_allclose(table["u"], found.u[:, 0], rtol=1e-9)
 
-    def simulated(model: ph.Model, x0: np.ndarray) -> np.ndarray:
-        return free_run(model, run.t, x0, run.u)
 
-    truth = simulated(stiff.model, stiff.states[0][0])
-    spread = np.std(truth, axis=0)
-    weight = 1 / (NOISE / spread[0] * spread)
+BAD: list[tuple[dict[str, Any], str]] = [
+    ({"limits": {"u": (5.0, -5.0)}}, r"limits\['u'\]"),
+    ({"limits": {"u": 3.0}}, r"limits\['u'\]"),
+    ({"limits": {"force": (0.0, 1.0)}}, "force"),
+    ({"limits": {"t": 0.001}}, "duration above 0.04 s"),
+    ({"start": {"v": 0.0}}, "state 'v'"),
+    ({"sharpen": "mass"}, "parameter 'mass'"),
+]
 
-    def misfit(z: np.ndarray) -> np.ndarray:
-        values = dict(zip(heavy.model.free, z[:2].tolist(), strict=True))
-        model = heavy.model.with_values(values)
-        here = (simulated(model, z[2:4]) - truth) * weight
-        there = (simulated(model, z[4:6]) - truth)[:, :1] * weight[0]
-        return np.r_[here.ravel(), there.ravel()]
 
-    x0 = heavy.states[0][0]
-    begin = np.r_[heavy.model.theta, x0, x0]
-    best = least_squares(misfit, begin, x_scale="jac")
-    added = 2 * best.cost - found.in_record**2 * len(run.t)
-    row = found.table.set_index("experiment").loc["p measured, too"]
-    # 5 %: the record's part is taken as linear in the parameters.
-    expected = np.sqrt(added / truth.size)
-    assert row["separation"] == pytest.approx(expected, rel=0.05)
+@pytest.mark.parametrize(("given", "said"), BAD)
+def test_limits_that_cannot_be_are_named(
+    resonant: tuple[Fits, ph.Measurements], given: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ph.ModelError, match=said):
+        next_experiment(*resonant, SIGMA, **given)
+
+
+def test_limits_that_the_start_breaks_are_told(
+    resonant: tuple[Fits, ph.Measurements],
+) -> None:
+    with pytest.raises(ph.SolveError, match=r"q -0\.1 to 0\.1"):
+        next_experiment(*resonant, SIGMA, {"q": (-0.1, 0.1)}, {"q": 1.0})

@@ -16,10 +16,12 @@ import typer
 from phsi_opt.command_line.job import (
     COMPARE,
     DIAGNOSE,
+    EXPERIMENT,
     FIT,
     GO_THROUGH,
     MEANINGS,
     ExitCode,
+    ExperimentPlan,
     Job,
     Reach,
 )
@@ -232,6 +234,38 @@ def study_(
     """Run the steps of a study: the base model, then each added effect."""
     how = (auto, max_steps, save, report, exit_code, write, reach)
     do(Job(GO_THROUGH, study, None, *how), as_json)
+
+
+@app.command()
+def experiment(
+    study: StudyPath = Path(STUDY_NAME),
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Lower and upper limit of an input, a state, or the duration t, in "
+            "the units of the data; repeatable. Default: the range of the data.",
+            metavar="NAME=LOWER:UPPER",
+        ),
+    ] = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Where a state starts; repeatable. Default: as in the data.",
+            metavar="NAME=VALUE",
+        ),
+    ] = None,
+    sharpen: Annotated[
+        str | None,
+        typer.Option(help="The parameter whose standard error is to fall."),
+    ] = None,
+    table: Annotated[
+        Path, typer.Option("--table", "-o", help="The table of times and inputs.")
+    ] = Path("experiment.csv"),
+    as_json: AsJson = False,
+) -> None:
+    """Design the experiment that distinguishes effects or sharpens a parameter."""
+    plan = ExperimentPlan(table, tuple(limit or ()), tuple(start or ()), sharpen)
+    do(Job(EXPERIMENT, study, plan=plan), as_json)
 
 
 @app.command()

@@ -16,6 +16,7 @@ FIT = "fit"
 COMPARE = "compare"
 DIAGNOSE = "diagnose"
 GO_THROUGH = "study"
+EXPERIMENT = "experiment"
 
 
 class ExitCode(IntEnum):
@@ -50,7 +51,7 @@ class Reach(StrEnum):
 class Job:
     """One piece of work."""
 
-    kind: str  # `FIT`, `COMPARE`, `DIAGNOSE` or `GO_THROUGH`
+    kind: str  # `FIT`, `COMPARE`, `DIAGNOSE`, `GO_THROUGH` or `EXPERIMENT`
     study: Path  # the study file
     fit: Path | None = None  # a saved fit to take in place of a new one; None: fit anew
     is_auto: bool = False  # whether effects are looked for and added
@@ -62,11 +63,23 @@ class Job:
     # Whether effects that were found are written into the study file.
     write: bool = False
     reach: Reach = Reach.DECISIVE  # how clear an effect has to be that is added
+    plan: "ExperimentPlan | None" = None  # of `EXPERIMENT`
 
     @property
     def places(self) -> list[Path]:
         """The files that it writes."""
-        return [*filter(None, (self.save, self.report))]
+        planned = self.plan.table if self.plan else None
+        return [*filter(None, (self.save, self.report, planned))]
+
+
+@dataclass(frozen=True)
+class ExperimentPlan:
+    """Limits and starts as they were typed, in the units of the data."""
+
+    table: Path  # where times and inputs are written
+    limits: tuple[str, ...] = ()  # such as "u=-5:5"
+    starts: tuple[str, ...] = ()  # such as "q=0", or "q=0:1" to choose from
+    sharpen: str | None = None
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from phsi_opt.arguments import require
 from phsi_opt.command_line.job import (
     COMPARE,
     DIAGNOSE,
+    EXPERIMENT,
     FIT,
     Answer,
     ExitCode,
+    ExperimentPlan,
     Finished,
     Job,
     Message,
@@ -58,6 +61,8 @@ def run(job: Job, tell: Tell) -> Answer:
         answer = _compare_answer(study.compare())
     elif job.kind == DIAGNOSE:
         answer = _diagnose_answer(study.diagnose(), job)
+    elif job.kind == EXPERIMENT and job.plan is not None:
+        answer = _experiment_answer(study, job.plan)
     else:
         try:
             answer = _study_answer(study, job, file)
@@ -168,6 +173,42 @@ def _diagnose_answer(found: Diagnosis, job: Job) -> Answer:
         "candidates": found.candidates,
     }
     return Answer(str(found), plain(content), _code(found, job))
+
+
+def _experiment_answer(study: Study, plan: ExperimentPlan) -> Answer:
+    units = study.train.units
+    limits = dict(_ranges(text, units, "--limit") for text in plan.limits)
+    starts = dict(_ranges(text, units, "--start") for text in plan.starts)
+    if plan.sharpen is None:
+        study.diagnose()
+    found = study.next_experiment(limits, starts, plan.sharpen)
+    content = {
+        "kind": found.kind,
+        "log_bayes": found.log_bayes,
+        "std_errors": found.std_errors,
+        "x0": found.x0,
+        "table": str(found.to_csv(plan.table)),
+    }
+    text = f"{found}\nTimes and inputs: {plan.table}"
+    return Answer(text, plain({"sentence": found.sentence, **content}))
+
+
+def _ranges(text: str, units: Mapping[str, str], option: str) -> tuple[str, Any]:
+    """A name with a number, or with two, in the units that are computed with.
+
+    Raises:
+        ModelError: the text is no such limit.
+    """
+    name, _, values = text.rpartition("=")
+    try:
+        numbers = [float(value) for value in values.split(":")]
+    except ValueError:
+        numbers = []
+    expected = "a name with a number, or with two, such as u=-5:5"
+    require(bool(name) and len(numbers) in (1, 2), option, text, expected)
+    scale = scale_of(units.get(name.strip(), ""))
+    read = [float(scale.read(number)) for number in numbers]
+    return name.strip(), read[0] if len(read) == 1 else tuple(read)
 
 
 def _listed(one: Told) -> dict[str, Any]:

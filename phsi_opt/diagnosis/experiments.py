@@ -1,268 +1,287 @@
-"""Which experiment would tell two fitted models apart that the record does not.
+"""The experiment that comes next: what tells two models apart, or sharpens a parameter.
 
-The first model is taken for the truth. It is simulated in experiments that the record
-suggests: other starts, other inputs, a longer record and further sensors, each of one
-change and of a size that the record itself gives; inputs are not optimised. The second
-model imitates it as well as it can: it is fitted to the simulated record and the
-experiment together. Its residual, over the noise, is the separation: a difference that
-re-fitting removes does not count. Where the second model imitates the first everywhere
-(it may contain it), the two change places.
+An experiment is designed within limits (`diagnosis/design_problem.py`), and what it
+promises is checked by simulating: each of two models in turn is taken for the truth,
+and the other one is fitted to the present record and the experiment together. What it
+cannot imitate is the log Bayes factor to expect. One model is fitted to its own course,
+for the standard errors to expect.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from phsi_opt.arguments import is_of, require, require_known
 from phsi_opt.comparison.compare import compare
-from phsi_opt.data.checks import hold_of_each
+from phsi_opt.criteria import DECISIVE_EVIDENCE
+from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.design_problem import (
+    Design,
+    Plan,
+    PlannedModel,
+    designs,
+)
 from phsi_opt.errors import PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
-from phsi_opt.force_analysis.waves import spectrum
 from phsi_opt.model.model import Model
-from phsi_opt.model.structure import position_rows
 from phsi_opt.optimization.column_function import in_numbers
-from phsi_opt.presentation.summary import printed_table
+from phsi_opt.presentation.numbers import range_words
 from phsi_opt.presentation.units import scale_of, spaced
 from phsi_opt.simulation.simulate import SampledInputs, free_run
-from phsi_opt.statistics import TINY
 from phsi_opt.transcription.losses import MaximumLikelihood
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-# Standard deviations of the whole experiment from which two models count as told apart.
-SEPARATED_MODELS = 5.0
-# Standard deviations per value below which two predictions are the same.
-SAME_PREDICTION = 1e-3
-MOST_SAMPLES = 1000  # of the record that are looked at
-
-# Starts, in distances of the record's start from its mean.
-START_STRETCHES = (0.25, 0.5, 2.0, 3.0)
-# Distance from the mean, in standard deviations of a state, up to which a start cannot
-# be put further out.
-LEAST_START_DISTANCE = 0.05
-START_SHIFT = 2.0  # of one position, in its standard deviations
-INPUT_GAINS = (0.5, 2.0, 3.0)  # inputs, in those of the record
-SINE_FREQUENCIES = (0.3, 1.0, 3.0)  # in dominant frequencies of the record
-# Samples in a period of a sine, at least: with two it is not seen.
-SAMPLES_PER_PERIOD = 4
-N_REPEATS = 3  # of the record's inputs, in a longer record
-
-# Steps of an imitation, in those of the fit, whose errors are a tenth of the noise: of
-# order four, they are then far below what an experiment could show.
-FINER_STEPS = 4
-
-
-@dataclass(frozen=True, eq=False)
-class Separation:
-    """The experiments that were tried, best first.
-
-    Attributes:
-        table: a row per experiment. Columns: experiment (in words), separation (root
-            mean square of the residual after re-fitting, in standard deviations of the
-            noise, per value measured), separates (whether the models count as told
-            apart).
-        in_record: the separation in the record itself.
-        alike: whether the two predict the same in every experiment.
-    """
-
-    table: "pd.DataFrame"
-    in_record: float
-    alike: bool
-
-    @property
-    def sentence(self) -> str:
-        """The best experiment in words."""
-        if self.table.empty:
-            return "no experiment could be simulated with both models"
-        none = "none of the simulated experiments distinguishes them"
-        if self.alike:
-            return f"{none}: the two models are equivalent"
-        best = self.table.iloc[0]
-        size = f"{best['separation']:.2g} noise standard deviations"
-        if not best["separates"]:
-            return f"{none}; the best is {best['experiment']}, by {size}"
-        return (
-            f"{best['experiment']}: the two predictions then differ by {size}; "
-            f"in this record by {self.in_record:.2g}."
-        )
-
-    def __str__(self) -> str:
-        return f"{self.sentence}\n{self.table}"
-
-    __repr__ = __str__
-
-
-def separating(
-    first: Fit, second: Fit, data: Measurements, noise: np.ndarray
-) -> Separation:
-    """Look for an experiment that tells one fitted model from another.
-
-    The first fit is taken for the truth. The experiments, best first, are derived from
-    the longest trajectory of the data that both were fitted to.
-
-    Raises:
-        SolveError: the record itself cannot be simulated with both models.
-    """
-    number = int(np.argmax([run.n_samples for run in data.trajectories]))
-    # A model with memory has more states than its noise names.
-    by_state = dict(zip(first.model.states, noise.tolist(), strict=False))
-    one = _FittedModel(first, data, number)
-    other = _FittedModel(second, data, number)
-    found = _separation(one, other, by_state)
-    return _separation(other, one, by_state) if found.alike else found
-
-
-def _separation(
-    truth: "_FittedModel", imitator: "_FittedModel", noise: Mapping[str, float]
-) -> Separation:
-    """How well every experiment tells the imitator from the truth."""
-    data, spread, record = truth.data, truth.spread, truth.record
-    sigma = {name: noise[name] for name in data.measured}
-    # A further sensor would have the same share of the spread as those there are.
-    shares = [sigma[name] / max(spread[name], TINY) for name in sigma]
-    for name in data.states:
-        if spread[name] > 0:
-            sigma.setdefault(name, float(np.mean(shares)) * spread[name])
-
-    def misfit(experiments: Sequence[Experiment]) -> float | None:
-        measured = truth.measurements(experiments)
-        return None if measured is None else imitator.misfit(measured, sigma)
-
-    in_record = misfit([record])
-    if in_record is None:
-        raise imitator.not_simulated()
-    rows = []
-    for experiment in experiments(truth):
-        in_both = misfit([record, experiment])
-        if in_both is not None:
-            added = max(in_both - in_record, 0.0)
-            size = np.sqrt(added / experiment.n_values)
-            rows.append((experiment.name, size, bool(added >= SEPARATED_MODELS**2)))
-    table = printed_table(rows, columns=["experiment", "separation", "separates"])
-    table = table.sort_values(
-        "separation", ascending=False, kind="stable", ignore_index=True
-    )
-    alike = bool((table["separation"] < SAME_PREDICTION).all())
-    return Separation(table, float(np.sqrt(in_record / record.n_values)), alike)
-
-
-# ---- experiments ---------------------------------------------------------------------
+from phsi_opt.writing import write_whole
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """An experiment with times and inputs (n_samples, n_inputs), in words."""
+    """An experiment within limits, and what it is expected to tell.
 
-    name: str
+    Attributes:
+        t: (n_samples,) times, in s.
+        u: (n_samples, n_inputs) inputs, as the data have them.
+        inputs: their names.
+        x0: the start by state; where it is not to be chosen, that of the record.
+        kind: "multisine", "steps", "chirp", or "start" for a model without inputs.
+        log_bayes: expected logarithm of the Bayes factor, the name of each model to
+            that for it where it is the true one. One that contains the other imitates
+            it, and is then not rejected. Empty where parameters are to be told.
+        std_errors: standard errors of the parameters, present and expected.
+        hold: between the samples, as in the data.
+        units: of times, inputs and states, as in the data.
+    """
+
     t: np.ndarray
     u: np.ndarray
-    measured: tuple[str, ...]
-    x0: np.ndarray  # (n_states,) of the model that is simulated
+    inputs: tuple[str, ...]
+    x0: Mapping[str, float]
+    kind: str
+    log_bayes: Mapping[str, float] = field(default_factory=dict)
+    std_errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    hold: Hold = "linear"
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def n_values(self) -> int:
-        """Number of measured values."""
-        return len(self.t) * len(self.measured)
-
-
-def experiments(truth: "_FittedModel") -> Iterator[Experiment]:
-    """The experiments that a record suggests, each with one change."""
-    itself = truth.record
-    yield from _other_starts(truth)
-    frequency = dominant_frequency(truth)
-    for column in range(len(truth.data.inputs)):
-        yield from _other_inputs(truth, column, frequency)
-    t = itself.t
-    duration = t[-1] - t[0] + np.median(np.diff(t))
-    times = np.concatenate([t + k * duration for k in range(N_REPEATS)])
-    inputs = np.tile(itself.u, (N_REPEATS, 1))
-    name = f"a record {N_REPEATS} times as long"
-    yield replace(itself, name=name, t=times, u=inputs)
-    for state, spread in truth.spread.items():
-        if state not in truth.data.measured and spread > 0:
-            measured = (*itself.measured, state)
-            yield replace(itself, name=f"{state} measured, too", measured=measured)
-
-
-def _other_starts(truth: "_FittedModel") -> Iterator[Experiment]:
-    """Further out from the mean; each position moved, or each state without any."""
-    itself = truth.record
-    model = truth.model
-    x0 = itself.x0
-    spread = truth.spread
-    places = list(map(model.index, truth.data.states))
-    mean = np.mean(truth.course, axis=0)
-    distance = np.abs(x0[places] - mean) / np.maximum(list(spread.values()), TINY)
-    if np.max(distance) > LEAST_START_DISTANCE:
-        for stretch in START_STRETCHES:
-            moved = x0.copy()
-            moved[places] = mean + stretch * (x0[places] - mean)
-            yield replace(
-                itself,
-                name=f"initial states {stretch:g} times as far from the mean",
-                x0=moved,
+    def sentence(self) -> str:
+        """What to do, and what it is expected to tell."""
+        told = [
+            f"{name} from {before:.2g} to {after:.2g}"
+            for name, (before, after) in self.std_errors.items()
+        ]
+        if told:
+            less = f"it reduces the standard error of {', '.join(told)}"
+            return f"{self.words}: {less}."
+        first, second = self.log_bayes
+        best = max(self.log_bayes.values())
+        if best < DECISIVE_EVIDENCE:
+            return (
+                f"No experiment within these limits distinguishes {first} from "
+                f"{second}: the best has a log Bayes factor of {best:.2g}."
             )
-    for row in position_rows(model) or range(len(places)):
-        state = model.states[row]
-        shift = START_SHIFT * spread[state]
-        moved = x0.copy()
-        moved[row] += shift
-        name = f"initial {state} higher by {truth.words(shift, state)}"
-        yield replace(itself, name=name, x0=moved)
+        truths = [
+            f"{value:.3g} if {name} is true" for name, value in self.log_bayes.items()
+        ]
+        return f"{self.words}: expected log Bayes factor {', '.join(truths)}."
+
+    @property
+    def words(self) -> str:
+        """The experiment in words, its input with range and length, or its start."""
+        time = scale_of(self.units.get("t", ""))
+        length = f"{time.shown(self.t[-1] - self.t[0]):.3g}{spaced(time.unit)}"
+        parts = []
+        for name, values in zip(self.inputs, self.u.T, strict=True):
+            scale = scale_of(self.units.get(name, ""))
+            least, most = scale.shown(np.array([values.min(), values.max()])).tolist()
+            parts.append(f"{name} from {range_words(least, most, scale.unit)}")
+        if self.kind == "start":
+            for name, value in self.x0.items():
+                scale = scale_of(self.units.get(name, ""))
+                parts.append(f"{name} = {scale.shown(value):.3g}{spaced(scale.unit)}")
+            return f"Start at {', '.join(parts)} and measure for {length}"
+        kind = self.kind if self.kind == "steps" else f"a {self.kind}"
+        return f"Apply {kind} for {length}, {', '.join(parts)}"
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write times and inputs for the rig, in the units of the data.
+
+        Raises:
+            DataError: the file cannot be written.
+        """
+        names = ["t", *self.inputs]
+        scales = [scale_of(self.units.get(name, "")) for name in names]
+        heads = [
+            f"{name} [{scale.unit}]" if scale.unit else name
+            for name, scale in zip(names, scales, strict=True)
+        ]
+        columns = np.column_stack([self.t, self.u]).T
+        rows = zip(
+            *(
+                scale.shown(column).tolist()
+                for scale, column in zip(scales, columns, strict=True)
+            ),
+            strict=True,
+        )
+        lines = [",".join(f"{value:.10g}" for value in row) for row in rows]
+        return write_whole(path, "\n".join([",".join(heads), *lines, ""]))
+
+    def __str__(self) -> str:
+        return self.sentence
+
+    __repr__ = __str__
 
 
-def _other_inputs(
-    truth: "_FittedModel", column: int, frequency: float
-) -> Iterator[Experiment]:
-    """One input, louder and softer, as sines, and as a sweep of their frequencies."""
-    itself = truth.record
-    name = truth.data.inputs[column]
-    values = itself.u[:, column]
-    size = float(np.std(values) or abs(np.mean(values)))
-    if size == 0:
-        return
-    changes = {f"multiplied by {gain:g}": gain * values for gain in INPUT_GAINS}
-    mean = float(np.mean(values))
-    amplitude = np.sqrt(2) * size
-    t = itself.t - itself.t[0]
-    highest = 1 / SAMPLES_PER_PERIOD / float(np.median(np.diff(itself.t)))
-    for factor in SINE_FREQUENCIES:
-        f = factor * frequency
-        if f < highest:
-            period = truth.words(1 / f, "t")
-            sine = np.sin(2 * np.pi * f * t)
-            words = f"as a sine of period {period} with the same rms"
-            changes[words] = mean + amplitude * sine
-    low = SINE_FREQUENCIES[0] * frequency
-    high = SINE_FREQUENCIES[-1] * frequency
-    rise = (high - low) * t**2 / (2 * t[-1])
-    sweep = np.sin(2 * np.pi * (low * t + rise))
-    periods = f"{truth.words(1 / low, 't')} to {truth.words(1 / high, 't')}"
-    words = f"as a sweep of periods {periods} with the same rms"
-    changes[words] = mean + amplitude * sweep
-    for words, changed in changes.items():
-        u = itself.u.copy()
-        u[:, column] = changed
-        yield replace(itself, name=f"{name} {words}", u=u)
+def next_experiment(
+    fits: Mapping[str, Fit],
+    data: Measurements,
+    noise: Mapping[str, float],
+    limits: Mapping[str, Any] | None = None,
+    start: Mapping[str, Any] | None = None,
+    sharpen: str | None = None,
+    seed: int = 0,
+) -> Experiment:
+    """Design the experiment that tells two models apart, or the parameters of one.
+
+    Args:
+        fits: one or two fits to the data, by names that are told.
+        data: the present record; its longest trajectory gives sampling and length.
+        noise: standard deviation by measured state.
+        limits: lower and upper by input, state, or formula of these (such as "p/m");
+            the longest duration as "t". What is not given stays within its range in the
+            data. In SI units.
+        start: by state a number, or a lower and an upper one to choose from. States
+            that are not given start as in the record, or without inputs anywhere within
+            their limits.
+        sharpen: a parameter of the first model; None: all.
+        seed: of the inputs that the search begins with.
+
+    Raises:
+        ModelError: limits that contradict each other, or of something unknown.
+        SolveError: no experiment that keeps within the limits was found.
+    """
+    known = [_FittedModel(fit, data, _longest(data), noise) for fit in fits.values()]
+    first = known[0]
+    if sharpen is not None:
+        require_known(sharpen, first.model.free, f"parameter {sharpen!r} is unknown")
+    plan = _plan(first, limits or {}, start or {})
+    planned = [one.planned for one in known]
+    place = None if sharpen is None else first.model.free.index(sharpen)
+    found = sorted(designs(plan, planned, place, seed), key=lambda one: -one.gain)
+    for design in found:
+        checked = _checked(design, plan, known, tuple(fits), sharpen)
+        if checked is not None:
+            return checked
+    ranges = [
+        f"{name} {low:g} to {high:g}" for name, (low, high) in plan.limits.items()
+    ]
+    raise SolveError(
+        f"no experiment keeps within the limits ({', '.join(ranges)}), or none can be "
+        "simulated; widen them, or allow a shorter duration with limits={'t': ...}."
+    )
 
 
-def dominant_frequency(truth: "_FittedModel") -> float:
-    """Frequency of most power in the measured states, in periods per unit of time."""
-    t = truth.record.t
-    columns = list(map(truth.data.states.index, truth.data.measured))
-    y = truth.course[:, columns]
-    y = (y - y.mean(axis=0)) / np.maximum(y.std(axis=0), TINY)
-    found = spectrum(t, np.zeros(len(t), dtype=int), y)
-    return float(found.frequencies[np.argmax(np.sum(found.amplitudes**2, axis=1))])
+def _longest(data: Measurements) -> int:
+    return int(np.argmax([run.n_samples for run in data.trajectories]))
 
 
-# ---- imitation -----------------------------------------------------------------------
+def _plan(
+    first: "_FittedModel",
+    limits: Mapping[str, Any],
+    start: Mapping[str, Any],
+    most: int = 2000,
+) -> Plan:
+    """Times, limits and what is free, of at most so many samples.
+
+    Raises:
+        ModelError: limits that contradict each other, or of something unknown.
+    """
+    data, model = first.data, first.model
+    run = data.trajectories[first.number]
+    gap = float(np.median(np.diff(run.t)))
+    duration = limits.get("t", run.t[-1] - run.t[0])
+    expected = f"a duration above {gap:g} s, the time between two samples"
+    require(
+        is_of(duration, float) and duration > gap, "limits['t']", duration, expected
+    )
+    t = gap * np.arange(min(int(duration / gap + 1e-9) + 1, most))
+    known = dict(zip(data.states, data.stacked("x").T, strict=True))
+    known |= dict(zip(data.inputs, data.stacked("u").T, strict=True))
+    chosen: dict[str, tuple[float, float]] = {}
+    for name in (*data.measured, *model.inputs):
+        chosen[name] = float(np.nanmin(known[name])), float(np.nanmax(known[name]))
+    for name, given in limits.items():
+        if name != "t":
+            model.function(name)  # says what is unknown
+            chosen[name] = _range(f"limits[{name!r}]", given)
+    for name in model.inputs:
+        low, high = chosen[name]
+        expected = f"limits={{{name!r}: (lower, upper)}}: in the data it is constant"
+        require(low < high, name, low, expected)
+    for name in start:
+        require_known(name, model.states, f"state {name!r} of start is unknown")
+    starts = {} if model.inputs else {n: chosen[n] for n in model.states if n in chosen}
+    for name, given in start.items():
+        where = f"start[{name!r}]"
+        starts[name] = (given, given) if is_of(given, float) else _range(where, given)
+    inputs = tuple(model.inputs)
+    holds = hold_of_each(data.hold, data.inputs)
+    hold = {name: str(holds[data.inputs.index(name)]) for name in inputs}
+    return Plan(t, inputs, hold, first.sigma, chosen, starts)
+
+
+def _range(name: str, given: Any) -> tuple[float, float]:
+    is_pair = np.shape(given) == (2,) and all(is_of(one, float) for one in given)
+    fine = is_pair and -np.inf < given[0] < given[1] < np.inf
+    require(fine, name, given, "a lower and a larger upper number")
+    return float(given[0]), float(given[1])
+
+
+def _checked(
+    design: Design,
+    plan: Plan,
+    known: Sequence["_FittedModel"],
+    names: Sequence[str],
+    sharpen: str | None,
+) -> Experiment | None:
+    """A design with what it tells when simulated; None: it cannot be simulated."""
+    first = known[0]
+    x0 = dict(zip(first.model.states, first.x0.tolist(), strict=True)) | design.start
+    log_bayes: dict[str, float] = {}
+    std_errors: dict[str, tuple[float, float]] = {}
+    if len(known) == 2:
+        for name, truth, imitator in zip(names, known, known[::-1], strict=True):
+            misfits = []
+            for designed in (None, design):
+                shown = truth.measurements(designed, plan)
+                fit = None if shown is None else imitator.fitted_to(shown)
+                if fit is None:
+                    return None
+                misfits.append(fit.loss_value * fit.n_values)
+            log_bayes[name] = max(float(misfits[1] - misfits[0]) / 2, 0.0)
+    else:
+        shown = first.measurements(design, plan)
+        fit = None if shown is None else first.fitted_to(shown)
+        if fit is None:
+            return None
+        for name in first.model.free if sharpen is None else (sharpen,):
+            present = first.fit.std_errors.get(name, np.nan)
+            std_errors[name] = present, fit.std_errors[name]
+    data = first.data
+    return Experiment(
+        plan.t,
+        design.u,
+        plan.inputs,
+        x0,
+        design.kind,
+        log_bayes,
+        std_errors,
+        data.hold,
+        data.units,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,6 +291,12 @@ class _FittedModel:
     fit: Fit
     data: Measurements
     number: int
+    noise: Mapping[str, float]
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Noise by measured state."""
+        return {name: self.noise[name] for name in self.data.measured}
 
     @cached_property
     def model(self) -> Model:
@@ -281,92 +306,89 @@ class _FittedModel:
         return shared.with_free(own.free)
 
     @cached_property
-    def x0(self) -> np.ndarray:
-        """(n_states,) its start there."""
+    def course(self) -> np.ndarray:
+        """(n_samples, n_states) its states in the trajectory."""
         runs = self.fit.states
         if len(runs) != self.data.n_trajectories:
             runs = compare(self.fit, self.data).simulated
-        return np.asarray(runs[self.number][0])
+        return np.asarray(runs[self.number])
 
-    @cached_property
-    def record(self) -> Experiment:
-        """Its trajectory, as it was."""
-        run = self.data.trajectories[self.number]
-        t, u = run.t[:MOST_SAMPLES], run.u[:MOST_SAMPLES]
-        return Experiment("the record", t, u, self.data.measured, self.x0)
+    @property
+    def x0(self) -> np.ndarray:
+        """(n_states,) its start there."""
+        return np.asarray(self.course[0])
 
-    @cached_property
-    def course(self) -> np.ndarray:
-        """What sensors of all states show along the record, (n_samples, n_states)."""
-        shown = self.shown(self.record, self.data.states)
-        if shown is None:
-            raise self.not_simulated()
-        return shown
+    @property
+    def planned(self) -> PlannedModel:
+        """What a design needs of it."""
+        free = self.model.free
+        values = np.abs(self.model.theta)
+        covariance = np.diag(np.where(values > 0, values, 1.0) ** 2)
+        places = [k for k, name in enumerate(free) if name in self.fit.names]
+        rows = [self.fit.names.index(free[k]) for k in places]
+        own = self.fit.covariance[np.ix_(rows, rows)]
+        if np.all(np.isfinite(own)):
+            covariance[np.ix_(places, places)] = own
+        # A fit's steps are so fine that their error does not count.
+        steps = -(-max((int(np.max(one)) for one in self.fit.steps), default=1) // 4)
+        spread = np.std(self.course, axis=0)
+        return PlannedModel(self.model, self.x0, covariance, spread, steps)
 
-    @cached_property
-    def spread(self) -> dict[str, float]:
-        """Standard deviation by state of the measurements, along the record."""
-        deviations = np.std(self.course, axis=0).tolist()
-        return dict(zip(self.data.states, deviations, strict=True))
-
-    def not_simulated(self) -> SolveError:
-        """Why its record cannot be compared with experiments."""
-        name = self.data.trajectories[self.number].name
-        return SolveError(
-            f"trajectory {name!r} cannot be simulated with the model that has the "
-            f"parameters {', '.join(self.model.free)}: it may be stiff, or its "
-            "solution may diverge. Compare experiments with `simulate` instead."
-        )
-
-    def words(self, value: float, name: str) -> str:
-        """A value with the unit of a state, an input or the time."""
-        scale = scale_of(self.data.units.get(name, ""))
-        return f"{value / scale.size:.3g}{spaced(scale.unit)}"
-
-    def shown(self, experiment: Experiment, names: Sequence[str]) -> np.ndarray | None:
-        """What sensors show, (n_samples, n_names); None: it cannot be simulated."""
-        model = self.model
-        columns = list(map(self.data.inputs.index, model.inputs))
-        hold = hold_of_each(self.data.hold, self.data.inputs)[columns]
-        u = experiment.u[:, columns]
-        try:
-            x = free_run(model, experiment.t, experiment.x0, u, self.data.hold)
-        except SolveError:
-            return None
-        inputs = SampledInputs.of(model, experiment.t, u, hold)
-        u = inputs.u[inputs.samples]
-        (y,) = in_numbers(model.output(), x.T, u.T, experiment.t[None], model.theta)
-        return y[list(map(model.index, names))].T
-
-    def measurements(self, experiments: Sequence[Experiment]) -> Measurements | None:
-        """The model's course without noise; None: it cannot be simulated."""
-        data = self.data
-        runs = []
-        for experiment in experiments:
-            shown = self.shown(experiment, experiment.measured)
-            if shown is None:
+    def measurements(self, design: Design | None, plan: Plan) -> Measurements | None:
+        """Its course in the record and a design, without noise; None: it has none."""
+        data, run = self.data, self.data.trajectories[self.number]
+        n = 1000  # samples of the record; more tell the same
+        times = [run.t[:n]]
+        inputs = [run.u[:n]]
+        starts = [self.x0]
+        if design is not None:
+            x0 = self.x0.copy()
+            for name, value in design.start.items():
+                x0[self.model.index(name)] = value
+            columns = list(map(data.inputs.index, plan.inputs))
+            u = np.zeros((len(plan.t), len(data.inputs)))
+            u[:, columns] = design.u
+            times.append(plan.t)
+            inputs.append(u)
+            starts.append(x0)
+        shown = []
+        for t, u, x0 in zip(times, inputs, starts, strict=True):
+            y = self.shown(t, u, x0)
+            if y is None:
                 return None
-            x = np.full((len(shown), len(data.states)), np.nan)
-            x[:, list(map(data.states.index, experiment.measured))] = shown
-            runs.append(x)
+            shown.append(y)
         return Measurements.from_arrays(
-            [experiment.t for experiment in experiments],
-            runs,
-            [experiment.u for experiment in experiments] if data.inputs else None,
+            times,
+            shown,
+            inputs if data.inputs else None,
             states=data.states,
             inputs=data.inputs,
             units=data.units,
             hold=data.hold,
         )
 
-    def misfit(self, shown: Measurements, noise: Mapping[str, float]) -> float | None:
-        """Squared residuals of the best imitation in noise variances, or None."""
-        # Each run of what is imitated has a start of its own; the noise is by state.
-        most = max((int(np.max(steps)) for steps in self.fit.steps), default=1)
-        known = {name: noise[name] for name in shown.measured}
-        loss = MaximumLikelihood(noise=known, steps=FINER_STEPS * most)
+    def shown(self, t: np.ndarray, u: np.ndarray, x0: np.ndarray) -> np.ndarray | None:
+        """What sensors show, (n_samples, n_states), NaN where none is."""
+        model, data = self.model, self.data
+        columns = list(map(data.inputs.index, model.inputs))
+        hold = hold_of_each(data.hold, data.inputs)[columns]
         try:
-            found = identify(self.model, shown, loss)
+            x = free_run(model, t, x0, u[:, columns], data.hold)
+        except SolveError:
+            return None
+        inputs = SampledInputs.of(model, t, u[:, columns], hold)
+        driven = inputs.u[inputs.samples]
+        (y,) = in_numbers(model.output(), x.T, driven.T, t[None], model.theta)
+        measured = np.full((len(t), len(data.states)), np.nan)
+        for name in data.measured:
+            measured[:, data.states.index(name)] = y[model.index(name)]
+        return measured
+
+    def fitted_to(self, shown: Measurements) -> Fit | None:
+        """The model fitted to what another one shows, at known noise, or None."""
+        steps = max((int(np.max(one)) for one in self.fit.steps), default=1)
+        loss = MaximumLikelihood(noise=self.sigma, steps=steps)
+        try:
+            return identify(self.model, shown, loss)
         except PhsiOptError:
             return None
-        return float(found.loss_value * found.n_values)

@@ -13,7 +13,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.data_causes import DataCause
-from phsi_opt.diagnosis.experiments import Separation, separating
+from phsi_opt.diagnosis.experiments import Experiment, next_experiment
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import (
@@ -222,23 +222,37 @@ class Diagnosis(Summarised):
         """
         return _next_step(self)
 
+    @property
+    def tied(self) -> dict[str, Fit]:
+        """Two effects of a class that was found, as fits by name; empty without one."""
+        fits = {one.name: one.fit for one in self.ranking if one.fit is not None}
+        for finding in self.findings:
+            names = [str(effect) for effect in finding.effects]
+            fitted = [name for name in names if name in fits]
+            if fitted[:1] == names[:1] and len(fitted) > 1:
+                return {name: fits[name] for name in fitted[:2]}
+        return {}
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of the noise by measured state."""
+        sigma = self.record.estimate.sigma.tolist()
+        by_state = dict(zip(self.base.fit.model.states, sigma, strict=False))
+        return {name: by_state[name] for name in self.data.measured}
+
     @cached_property
-    def separation(self) -> Separation | None:
+    def separation(self) -> Experiment | None:
         """An experiment that distinguishes two effects of a class.
 
-        The effects are members of the class that was found; None without a class.
+        The effects are members of the class that was found; None without a class. Its
+        inputs and states keep to their ranges in the data; for other limits see
+        `Study.next_experiment`.
 
         Raises:
-            SolveError: the record itself cannot be simulated with both models.
+            SolveError: no experiment can be simulated with both models.
         """
-        fits = {candidate.name: candidate.fit for candidate in self.ranking}
-        for finding in self.findings:
-            first, *others = (fits.get(str(effect)) for effect in finding.effects)
-            for other in others:
-                if first is not None and other is not None:
-                    sigma = self.record.estimate.sigma
-                    return separating(first, other, self.data, sigma)
-        return None
+        tied = self.tied
+        return next_experiment(tied, self.data, self.noise) if tied else None
 
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
         """Draw the missing force along one trajectory, with two standard deviations.
@@ -404,7 +418,7 @@ def _next_step(diagnosis: Diagnosis) -> Answer:
     return Answer(
         f"Distinguish {'; '.join(apart)} by an experiment.",
         f"Until then, you may use {firsts} in the model{again}.",
-        how=f"found.separation proposes one. {HOW_TO_ADD}",
+        how=f"phsi-opt experiment, or study.next_experiment, designs it. {HOW_TO_ADD}",
     )
 
 

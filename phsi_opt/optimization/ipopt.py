@@ -364,6 +364,55 @@ def _ipopt_options(settings: SolverSettings) -> dict[str, Any]:
     return options
 
 
+def maximized(
+    z: ca.MX,
+    gain: ca.MX,
+    g: ca.MX,
+    start: np.ndarray,
+    bounds: np.ndarray,
+    g_bounds: np.ndarray,
+) -> tuple[float, np.ndarray] | None:
+    """The largest gain of the variables z, and these; None where g leaves its bounds.
+
+    For small programs of any shape: the Hessian is IPOPT's own, of limited memory.
+
+    Args:
+        z: (n_variables,), near one in size.
+        gain: what is maximised.
+        g: constraints, (n_constraints,).
+        start: (n_variables,).
+        bounds: lower and upper, (2, n_variables).
+        g_bounds: those of g, (2, n_constraints).
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed.
+    """
+    problem: dict[str, Any] = {"x": z, "f": -gain, "g": g}
+    options: dict[str, Any] = {
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "max_iter": 40,
+            "tol": 1e-4,
+            "hessian_approximation": "limited-memory",
+        },
+    }
+    solver = ca.nlpsol("gain", "ipopt", problem, options)
+    lower, upper = g_bounds
+    # Constraints count in their own ranges.
+    range_of = np.maximum(upper - lower, TINY)
+    with solving():
+        found = solver(x0=start, lbx=bounds[0], ubx=bounds[1], lbg=lower, ubg=upper)
+    value, reached = -float(found["f"]), np.array(found["g"]).ravel()
+    outside = np.maximum(lower - reached, reached - upper) / range_of
+    if not np.isfinite(value) or not np.all(outside < 1e-6):
+        return None
+    return value, np.array(found["x"]).ravel()
+
+
 def _is_settled(stats: Mapping[str, Any], n_residuals: int) -> bool:
     """Whether the last iterates go to and fro over a kink, where constraints hold."""
     # The logarithm of the objective, times the number of residuals, changes as -2 log

@@ -4,12 +4,12 @@ It stops when no further effect is decisive, and says why.
 """
 
 import datetime as dt
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from phsi_opt.arguments import require_choice, require_count, typed
 from phsi_opt.comparison.compare import Comparison
@@ -17,6 +17,7 @@ from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Grade, at_limit
 from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
+from phsi_opt.diagnosis.experiments import Experiment, next_experiment
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import BRIEF, thorough_fit
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
@@ -387,6 +388,59 @@ class Study(Summarised):
     def _stop(self, why: str) -> str:
         self.record = replace(self.record, stopped=why)
         return why
+
+    @typed
+    @interruptible
+    def next_experiment(
+        self,
+        limits: Mapping[str, Any] | None = None,
+        start: Mapping[str, Any] | None = None,
+        sharpen: str | None = None,
+        *,
+        seed: int = 0,
+    ) -> Experiment:
+        """Design the experiment that tells most.
+
+        If the last diagnosis found effects that the data do not distinguish, it
+        distinguishes two of them: it maximises the expected log Bayes factor. Else it
+        reduces the standard errors of the present model, with what the diagnosis
+        proposes (D-optimality). Input and start
+        are the variables of one nonlinear program, and what is expected is checked by
+        simulating and re-fitting.
+
+        Args:
+            limits: lower and upper value by input, state, or formula of these (such as
+                ``"p/m"``); the longest duration as ``"t"``. What is not given stays
+                within its range in the training data. In SI units.
+            start: by state a number, or a lower and an upper one to choose from. States
+                that are not given start as in the longest run, or, in a model without
+                inputs, anywhere within their limits.
+            sharpen: a parameter of the present model, whose standard error is reduced
+                whatever was found.
+            seed: of the inputs that the search begins with.
+
+        Returns:
+            Times, inputs, start and what to expect; ``to_csv`` writes it for the rig.
+
+        Raises:
+            ModelError: limits that contradict each other, or of something unknown.
+            SolveError: no experiment that keeps within the limits was found.
+
+        Examples:
+            >>> study.next_experiment({"u": (-5, 5), "t": 10.0})  # doctest: +SKIP
+            Apply steps for 10 s, u from -5 to 5 N: ...
+        """
+        found = list(self.record.diagnoses.values())
+        tied = next((one for one in reversed(found) if one.tied), None)
+        present = self.record.present
+        fit = (present and present.proposed_fit) or self.fit
+        fits = {"the present model": fit}
+        noise = dict(fit.noise)
+        if tied is not None and sharpen is None:
+            fits = tied.tied
+            noise = tied.noise
+        self._say("designing the next experiment")
+        return next_experiment(fits, self.train, noise, limits, start, sharpen, seed)
 
     @property
     def history(self) -> "pd.DataFrame":
