@@ -2,8 +2,10 @@
 
 import datetime as dt
 import io
+import struct
 import sys
 import tomllib
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ import openpyxl
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.data.file_opening import READERS
 from phsi_opt.study_file.sections import DataSection
 from phsi_opt.study_file.survey import TableSurvey, first_text, survey
 
@@ -331,14 +334,61 @@ def tdms_file(path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("make", [mdf_file, tdms_file])
+def mcap_file(path: Path, **told: bytes) -> Path:
+    """Topics with messages of ROS 2 and in JSON."""
+    writer = pytest.importorskip("mcap.writer")
+    definition = told.get("definition", b"float64 q\nfloat64 u\nstring note\n")
+    with path.open("wb") as file:
+        log = writer.Writer(file)
+        log.start("ros2")
+        kind = log.register_schema("bench_msgs/msg/Bench", "ros2msg", definition)
+        fast = log.register_channel("fast", "cdr", kind)
+        slow = log.register_channel("slow", "json", 0)
+        for t, q, u in zip(T, Q, U, strict=True):
+            note = struct.pack("<I", 3) + b"ok\0"
+            cdr = b"\0\1\0\0" + struct.pack("<dd", q, u) + note
+            log.add_message(fast, int(1e18) + round(1e9 * t), cdr, 0)
+            if t in T[::2]:
+                said = b'{"oil": {"temperature": 21.5}, "gear": [1, 2]}'
+                log.add_message(slow, int(1e18) + round(1e9 * t), said, 0)
+        log.finish()
+    return path
+
+
+def db3_file(path: Path) -> Path:
+    """The topics of a bag of ROS 2 that does not say what its messages contain."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    bag = path.with_suffix("")
+    with rosbag2.Writer(bag, version=8) as writer:
+        for topic, places in (("fast", T), ("slow", T[::2])):
+            kind = "geometry_msgs/msg/Point"
+            channel = writer.add_connection(topic, kind, typestore=store)
+            for t in places:
+                point = store.types[kind](x=Q[T.index(t)], y=U[T.index(t)], z=0.0)
+                sent = store.serialize_cdr(point, kind)
+                writer.write(channel, int(1e18) + round(1e9 * t), sent)
+    return next(bag.glob("*.db3")).rename(path)
+
+
+# By the end of the name: what writes the file, and its columns q and u.
+GROUPED: dict[str, tuple[Callable[[Path], Path], str, str]] = {
+    "mf4": (mdf_file, "q", "u"),
+    "tdms": (tdms_file, "q", "u"),
+    "mcap": (mcap_file, "q", "u"),
+    "db3": (db3_file, "x", "y"),
+}
+
+
+@pytest.mark.parametrize("kind", GROUPED)
 def test_a_group_of_channels_is_a_table_and_groups_are_never_mixed(
-    make: Any, tmp_path: Path
+    kind: str, tmp_path: Path
 ) -> None:
-    path = make(tmp_path / ("log.mf4" if make is mdf_file else "log.tdms"))
-    is_mdf = make is mdf_file
-    reader: Any = ph.Measurements.from_mdf if is_mdf else ph.Measurements.from_tdms
-    columns: dict[str, Any] = {"time": "time", "states": ["q"], "inputs": ["u"]}
+    make, q, u = GROUPED[kind]
+    path = make(tmp_path / f"log.{kind}")
+    reader: Any = getattr(ph.Measurements, READERS[path.suffix])
+    columns: dict[str, Any] = {"time": "time", "states": [q], "inputs": [u]}
     (run,) = reader(path, group="fast", **columns)
     assert run.t.tolist() == T
     assert run.x[:, 0].tolist() == Q
@@ -350,10 +400,11 @@ def test_a_group_of_channels_is_a_table_and_groups_are_never_mixed(
     with pytest.raises(ph.DataError, match=r"no group 'fst'.*Did you mean 'fast'"):
         reader(path, group="fst", **columns)
     seen = survey(path)
-    assert [(one.column, one.unit) for one in seen.columns] == [
+    has_units = kind in ("mf4", "tdms")
+    assert [(one.column, one.unit) for one in seen.columns[:3]] == [
         ("time", "s"),
-        ("q", "mm"),
-        ("u", "N"),
+        (q, "mm" if has_units else ""),
+        (u, "N" if has_units else ""),
     ]
     assert seen.read[0].is_set and str(seen.read[0]) == 'group = "fast"    others: slow'
 
@@ -473,10 +524,108 @@ def test_invalid_samples_of_a_channel_are_missing(tmp_path: Path) -> None:
     np.testing.assert_array_equal(run.x[:, 0], np.where(is_invalid, np.nan, Q))
 
 
-def test_a_library_that_is_not_installed_is_named_with_its_extra(monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "asammdf", None)
-    with pytest.raises(ph.DataError, match=r'needs asammdf.*"phsi_opt\[loggers\]"'):
-        ph.Measurements.from_mdf(io.BytesIO(b"MDF"), time="time", states=["q"])
+@pytest.mark.parametrize(("reader", "library", "content"), [
+    ("from_mdf", "asammdf", b"MDF"),
+    ("from_parquet", "pyarrow", b"PAR1"),
+    ("from_bag", "mcap", b"\x89MCAP"),
+    ("from_hdf5", "h5py", b"\x89HDF\r\n\x1a\n"),
+    ("from_mat", "h5py", b" " * 512 + b"\x89HDF\r\n\x1a\n"),
+])  # fmt: skip
+def test_a_library_that_is_not_installed_is_named_with_its_extra(
+    reader: str, library: str, content: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    said = rf'needs {library}.*"phsi_opt\[loggers\]".*Measurements.from_dataframe'
+    with pytest.raises(ph.DataError, match=said):
+        getattr(ph.Measurements, reader)(io.BytesIO(content), time="time", states=["q"])
+
+
+def test_numbers_of_messages_are_columns_and_messages_of_other_kinds_are_named(
+    tmp_path: Path,
+) -> None:
+    path = mcap_file(tmp_path / "log.mcap")
+    names = ["oil.temperature", "gear.1"]
+    states = dict(zip("ab", names, strict=True))
+    (run,) = ph.Measurements.from_bag(path, group="slow", time="time", states=states)
+    assert run.t.tolist() == T[::2]
+    assert run.x.tolist() == [[21.5, 2.0]] * 3
+    code = mcap_file(path, definition=b"float64 q=__import__('os').mkdir('a')\n")
+    said = "'message' cannot be read: messages of the type bench_msgs/msg/Bench"
+    with pytest.raises(ph.DataError, match=said):
+        ph.Measurements.from_bag(code, group="fast", time="time", states=["message"])
+
+
+def test_parquet_has_numbers_dates_and_missing_values(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    begin = dt.datetime(2024, 3, 5, tzinfo=dt.UTC)
+    when = [begin + dt.timedelta(seconds=t) for t in T]
+    field = pyarrow.field("q", pyarrow.float64(), metadata={"unit": "mm"})
+    columns = {"when": when, "q": [*Q[:-1], None], "on": [u > 1 for u in U]}
+    table = pyarrow.table({**columns, "axes": [[1.0, 2.0]] * len(T)})
+    table = table.set_column(1, field, table["q"])
+    path = tmp_path / "log.parquet"
+    parquet.write_table(table, path)
+    data = ph.Measurements.from_parquet(path, time="when", states=["q", "on"])
+    assert data.units["q"] == "mm"
+    assert data.trajectories[0].t.tolist() == T
+    np.testing.assert_array_equal(data.stacked("x")[:, 0], [*Q[:-1], np.nan])
+    assert data.stacked("x")[:, 1].tolist() == [u > 1 for u in U]
+    seen = survey(path)
+    assert [one.part for one in seen.columns] == ["time", "state", "input"]
+    assert [one.name for one in seen.table.further] == ["axes"]
+    with pytest.raises(ph.DataError, match=r"read it with Measurements.from_parquet"):
+        ph.Measurements.from_csv(path, time="when", states=["q"])
+
+
+def test_hdf5_has_groups_as_structs_units_and_no_other_files(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log.h5"
+    Path(tmp_path, "raw").write_bytes(np.array(Q).tobytes())
+    with h5py.File(path, "w") as file:
+        file["log/time"] = T
+        file["log/Motor Speed"] = Q
+        file["log/Motor Speed"].attrs["unit"] = "rpm"
+        file["X"] = np.column_stack([U, Q])
+        pairs = list(zip(T, U, strict=True))
+        file["record"] = np.array(pairs, dtype=[("t", "f8"), ("u", "f8")])
+        file["linked"] = h5py.ExternalLink("other.h5", "q")
+        raw = [(str(tmp_path / "raw"), 0, 8 * len(T))]
+        file.create_dataset("outside", (len(T),), "f8", external=raw)
+    states = {"q": "Motor Speed", "u": "X(:,1)", "v": "record.u"}
+    data = ph.Measurements.from_hdf5(path, time="log/time", states=states)
+    assert data.units["q"] == "rpm"
+    assert data.stacked("t").tolist() == T
+    np.testing.assert_array_equal(data.stacked("x"), np.column_stack([Q, U, U]))
+    elsewhere = "in another file, which is not read"
+    said = rf"'linked' \({elsewhere}\).*'outside' \({elsewhere}\)"
+    with pytest.raises(ph.DataError, match=said):
+        ph.Measurements.from_hdf5(path, time="log.time", states=["outside"])
+    units = {one.column: one.unit for one in survey(path).columns}
+    assert units["log.Motor Speed"] == "rpm"
+
+
+def test_matlab_7_3_is_read_as_older_files_are(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+
+        def save(name: str, values: Any, kind: bytes = b"double") -> Any:
+            file[name] = np.atleast_2d(values)
+            file[name].attrs["MATLAB_class"] = np.bytes_(kind)
+            return file[name].ref
+
+        save("t", T)  # a column, whose axes MATLAB writes in reverse
+        save("log/X", np.array([Q, U]))
+        save("name", [111, 107], b"char")
+        places = [[save("#refs#/a", Q), save("#refs#/b", U)]]
+        file.create_dataset("Y/Data", data=np.array(places, dtype=h5py.ref_dtype))
+    states = {"q": "X(:,1)", "u": "Y(2).Data"}
+    (run,) = ph.Measurements.from_mat(path, time="t", states=states)
+    assert run.t.tolist() == T
+    np.testing.assert_array_equal(run.x, np.column_stack([Q, U]))
+    with pytest.raises(ph.DataError, match=r"'name' \(text\)"):
+        ph.Measurements.from_mat(path, time="t", states=["z"])
 
 
 def test_channels_of_a_group_that_begin_apart_are_tables_of_their_own(

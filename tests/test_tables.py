@@ -515,14 +515,6 @@ def test_signals_in_structs_are_listed_with_their_names() -> None:
         ph.Measurements.from_mat(mat(many), time="t", states=["q"])
 
 
-def test_a_matlab_file_of_version_7_3_is_refused_with_what_to_do() -> None:
-    header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124, b" ")
-    version_and_order = b"\x00\x02IM"
-    file = io.BytesIO(header + version_and_order + bytes(384) + b"\x89HDF\r\n\x1a\n")
-    with pytest.raises(ph.DataError, match=r"version 7\.3 .*save\(name, '-v7'\)"):
-        ph.Measurements.from_mat(file, time="t", states=["q"])
-
-
 def test_a_column_that_is_called_by_a_number_of_numpy_is_refused_by_name() -> None:
     frame = pd.DataFrame({"t": [0.0, 1.0, 2.0], "q": [1.0, 2.0, 3.0]})
     with pytest.raises(ph.DataError, match=r"has no column .*1\.0.*; expected one"):

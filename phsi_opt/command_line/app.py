@@ -101,7 +101,7 @@ def options(
 @app.command()
 def init(
     data: Annotated[
-        list[Path] | None, typer.Argument(help="Data file(s): text, .xlsx or .mat.")
+        list[Path] | None, typer.Argument(help="Data file(s): text, .xlsx, .mat, ...")
     ] = None,
     study: Annotated[
         Path, typer.Option("--study", "-o", help="Path of the new study file.")

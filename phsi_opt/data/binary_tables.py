@@ -1,7 +1,7 @@
-"""Tables of binary files: Excel workbooks, loggers' MDF and TDMS files, MATLAB files.
+"""Tables of binary files: Excel workbooks, loggers' files, MATLAB and HDF5 files.
 
 Each is read in a process of its own, by `excel_reader` (a sheet, cell by cell),
-`logger_reader` and `matlab_reader`.
+`logger_reader` (MDF, TDMS, Parquet, ROS bags, MCAP), `matlab_reader` and `hdf5_reader`.
 
 A logger's file has groups of channels; those of a group have common times, which are
 the first column. Channels of a group that are sampled otherwise are a group of their
@@ -10,7 +10,8 @@ own. Groups are never put on common times: one of them is the table.
 A column of a MATLAB file is a vector, a column or row of a matrix, or a field of a
 struct, called as in MATLAB: ``y``, ``X(:,2)``, ``X(2,:)``, ``log.y``, ``log.X(:,2)``,
 ``log.Y(3).Data``; a field may go without its struct where one struct alone has it.
-Cells, texts and tables are not read, but are named where something is not found.
+Cells, texts and tables are not read, but are named where something is not found. Those
+of an HDF5 file, as MATLAB 7.3 and others write them, are called likewise.
 """
 
 from collections import ChainMap
@@ -32,6 +33,13 @@ REPAIR_WORKBOOK = (
     "Open it in a spreadsheet program and save it again as .xlsx or as CSV, without a "
     "password."
 )
+# The libraries that read the files of each reader of `Measurements`.
+LOGGERS = {
+    "from_mdf": ("asammdf",),
+    "from_tdms": ("nptdms",),
+    "from_parquet": ("pyarrow",),
+    "from_bag": ("rosbags", "mcap"),
+}
 
 
 def table_of_excel(
@@ -67,30 +75,27 @@ def table_of_excel(
 def table_of_groups(
     file: OpenedFile,
     wanted: Iterable[Any] | None,
-    library: str,
+    reader: str,
     group: str | None,
 ) -> Table:
     """Channels of a group; its times are in s.
 
     Args:
-        file: an MDF or a TDMS file.
+        file: of a logger.
         wanted: the columns that are looked for; None: all, of the largest of several
             groups.
-        library: that reads it, asammdf or nptdms.
+        reader: of `Measurements`, one of `LOGGERS`.
         group: the group; None: the only one.
 
     Raises:
         DataError: the file cannot be read, or the group is not clear.
     """
-    if find_spec(library) is None:
-        raise DataError(
-            f'{file.title} needs {library}. Install it: pip install "phsi_opt[loggers]"'
-        )
+    _require(file, *LOGGERS[reader])
     found, arrays = read_apart(
         file,
         "logger_reader",
         "Export its channels as CSV.",
-        library=library,
+        library=LOGGERS[reader][0],
         asked=None if wanted is None else list(wanted),
         part=group,
         may_be_several=wanted is None,
@@ -111,6 +116,21 @@ def table_of_groups(
     )
 
 
+def _require(file: OpenedFile, *libraries: str) -> None:
+    """Refuse a file whose libraries are not installed.
+
+    Raises:
+        DataError: one is not; with both ways to read the file.
+    """
+    for library in libraries:
+        if find_spec(library) is None:
+            raise DataError(
+                f"{file.title} needs {library}. Install it: pip install "
+                '"phsi_opt[loggers]"; or read the file with another program and give '
+                "its table to Measurements.from_dataframe."
+            )
+
+
 # ---- MATLAB --------------------------------------------------------------------------
 
 Vectors = dict[Variable, dict[str, np.ndarray]]  # those of each variable, by name
@@ -118,6 +138,7 @@ SAVE_AGAIN = (
     "Save it again in MATLAB by save(name, '-v7'), or write the table as CSV by "
     "writetable or writematrix."
 )
+HDF5 = b"\x89HDF\r\n\x1a\n"  # how it begins; MATLAB writes 512 bytes before
 
 
 def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
@@ -127,14 +148,16 @@ def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
         DataError: a column is not there or could be several, or lengths differ.
     """
     variables = _variables(file)
-    columns = {name: _column(name, variables, file.title) for name in wanted}
+    found = {name: _column(name, variables, file.title) for name in wanted}
+    columns = {name: values for name, (values, _) in found.items()}
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         raise DataError(
             f"{file.title}: the columns differ in length: {lengths}; "
             f"expected one value per sample in each. {_listing(variables)}"
         )
-    return table_of_columns(file, list(columns), list(columns.values()))
+    units = {name: unit for name, (_, unit) in found.items()}
+    return table_of_columns(file, list(columns), list(columns.values()), units=units)
 
 
 def table_of_vectors(file: OpenedFile) -> Table:
@@ -154,20 +177,22 @@ def table_of_vectors(file: OpenedFile) -> Table:
             f"matrix of few columns, with 2 rows or more. {_listing(variables)}"
         )
     columns: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
     further = []
     for variable in variables:
         own = few.get(variable, {}).items()
         fitting = {name: one.ravel() for name, one in own if one.size == n_rows}
         columns |= fitting
+        units |= dict.fromkeys(fitting, variable.unit)
         if not fitting:
             further.append(variable)
     found = (list(columns), list(columns.values()))
-    return table_of_columns(file, *found, further=tuple(further))
+    return table_of_columns(file, *found, units=units, further=tuple(further))
 
 
-def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
-    """The vector of this name, which may go without its struct."""
-    wanted = str(name).replace(" ", "")
+def _column(name: Any, variables: Vectors, title: str) -> tuple[np.ndarray, str]:
+    """The vector of this name, which may go without its struct, and its unit."""
+    wanted = str(name)
     vectors = ChainMap(*reversed(variables.values()))
 
     def fitting(wanted: str) -> list[str]:
@@ -175,13 +200,16 @@ def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
             return [wanted]
         return [one for one in vectors if one.endswith(f".{wanted}")]
 
+    if not fitting(wanted):
+        wanted = wanted.replace(" ", "").replace("/", ".")
     names = fitting(wanted)
     axis = {"(:,1)": 1, "(1,:)": 0}.get(wanted[-5:])
     if not names and axis is not None:  # all of a vector, written as of a matrix
         whole = fitting(wanted[:-5])
         names = [one for one in whole if vectors[one].shape[axis] == 1]
     if len(names) == 1:
-        return vectors[names[0]].ravel()
+        of = next(one for one, own in variables.items() if names[0] in own)
+        return vectors[names[0]].ravel(), of.unit
     if names:
         raise DataError(
             f"{title}: {name!r} is a field of several structs; choose one of {names}."
@@ -198,7 +226,9 @@ def _listing(variables: Vectors) -> str:
     return f"The file contains: {', '.join(listed[:50]) or 'nothing'}{more}."
 
 
-def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.ndarray]]:
+def _described(
+    name: str, unit: str, values: np.ndarray
+) -> tuple[Variable, dict[str, np.ndarray]]:
     """A variable in words, and the vectors in it, as they are called in MATLAB."""
     if values.dtype.kind == "U":
         return Variable(name, str(values)), {}
@@ -212,15 +242,22 @@ def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.nd
         return Variable(name, f"the number {values.item():g}", number), {name: values}
     n_rows, n_columns = values.shape
     if 1 in values.shape:
-        return Variable(name, f"{values.size} numbers"), {name: values}
+        said = f"{values.size} numbers"
+        return Variable(name, said, unit=unit), {name: values}
     is_high = n_rows >= n_columns
     form = f"{name}(:,{{}})" if is_high else f"{name}({{}},:)"
     vectors = enumerate(values.T if is_high else values, 1)
     size = f"{n_rows} x {n_columns} numbers: {form.format(1)}, ..."
-    return Variable(name, size), {form.format(i): vector for i, vector in vectors}
+    columns = {form.format(i): vector for i, vector in vectors}
+    return Variable(name, size, unit=unit), columns
 
 
 def _variables(file: OpenedFile) -> Vectors:
     """The variables of a file, in its order; fields of structs as "struct.field"."""
-    names, values = read_apart(file, "matlab_reader", SAVE_AGAIN)
-    return dict(map(_described, names, values))
+    is_hdf5 = file.content[:8] == HDF5 or file.content[512:520] == HDF5
+    if is_hdf5:
+        _require(file, "h5py")
+        names, values = read_apart(file, "hdf5_reader", "Write its table as CSV.")
+    else:
+        names, values = read_apart(file, "matlab_reader", SAVE_AGAIN)
+    return dict(map(_described, *zip(*names, strict=True), values) if names else ())

@@ -22,6 +22,9 @@ BinarySource = str | os.PathLike[str] | IO[bytes]
 READERS = {
     **dict.fromkeys((".xlsx", ".xlsm"), "from_excel"),
     **dict.fromkeys((".mf4", ".mdf"), "from_mdf"),
+    **dict.fromkeys((".h5", ".hdf5"), "from_hdf5"),
+    **dict.fromkeys((".parquet", ".pq"), "from_parquet"),
+    **dict.fromkeys((".bag", ".db3", ".mcap"), "from_bag"),
     ".mat": "from_mat",
     ".tdms": "from_tdms",
 }
@@ -151,8 +154,8 @@ def _decoded(content: bytes, title: str) -> tuple[str, str]:
                 return text, remark
     raise DataError(
         f"{title} is not a table: it contains binary data. Tables are read from text "
-        "(.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat). Save it as one of "
-        "these."
+        f"and, by their ending, from {', '.join(sorted(READERS))}. Save it as one of "
+        "these, or read it yourself and use Measurements.from_dataframe."
     )
 
 

@@ -1,4 +1,4 @@
-"""Read channels of logger files, by asammdf or nptdms, in a process of its own.
+"""Read channels of logger files, by the library of each, in a process of its own.
 
 Nothing that a file says is executed: the libraries that could are absent. Of an MDF
 file only raw values are read. It states how these become physical ones; asammdf applies
@@ -10,24 +10,24 @@ standard; "old" files are those of version 3.
 import itertools
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from functools import partial
 from operator import attrgetter
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from phsi_opt.data.bag_reader import groups_of_bag
+from phsi_opt.data.channel_groups import NO_NUMBERS, TIME, Group, Signal
 from phsi_opt.data.tables import chosen_part
 from phsi_opt.errors import DataError, shown
 from phsi_opt.reading import check_size
 
-TIME = "time"
 # asammdf executes formulas by numexpr and sympy, makes tables by pandas, and reads what
 # is attached to a file by canmatrix. Together they take 2 s to import.
 NOT_NEEDED = ("canmatrix.formats", "canmatrix.canmatrix", "canmatrix", "pandas")
 EXECUTING = ("numexpr", "sympy")
-NO_NUMBERS = {True: (7, 8), False: range(6, 17)}  # types of data, by whether it is old
+OTHER_TYPES = {True: (7, 8), False: range(6, 17)}  # types of data, by whether it is old
 
 
 class Unused(ModuleType):
@@ -39,25 +39,7 @@ class Unused(ModuleType):
         return type(name, (), {})
 
 
-class Signal(NamedTuple):
-    """A channel that can be read, or the reason why it cannot be."""
-
-    name: str
-    unit: Any
-    values: Callable[[], np.ndarray]
-    why_not: str = ""
-
-
 NAME_OF = attrgetter("name")
-
-
-@dataclass
-class Group:
-    """Channels with common times."""
-
-    n_samples: int
-    size: int  # bytes, as the file states them
-    channels: list[Signal] = field(default_factory=list)
 
 
 def read(
@@ -132,9 +114,9 @@ def _groups_of_mdf(content: Any) -> Iterator[tuple[str, Group]]:
             why_not = why_refused(one.conversion, is_old)
             if (
                 recorded.channel_dependencies[index]
-                or one.data_type in NO_NUMBERS[is_old]
+                or one.data_type in OTHER_TYPES[is_old]
             ):
-                why_not = "its values are arrays, texts or bytes"
+                why_not = NO_NUMBERS
             unit = getattr(one.conversion, "unit", "") or getattr(one, "unit", "")
             values = partial(_values_in_mdf, mdf, number, index, is_old)
             group.channels.append(Signal(one.name, unit, values, why_not))
@@ -186,7 +168,48 @@ def _values_in_tdms(channel: Any) -> np.ndarray:
     return values.astype(str) if values.dtype.kind == "O" else values
 
 
-GROUPS_BY = {"asammdf": _groups_of_mdf, "nptdms": _groups_of_tdms}
+def _groups_of_parquet(content: Any) -> Iterator[tuple[str, Group]]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    file = pq.ParquetFile(content)
+    counted = file.metadata
+    row_groups = map(counted.row_group, range(counted.num_row_groups))
+    size = sum(one.total_byte_size for one in row_groups)
+    n = counted.num_rows
+    group = Group(n, max(size, 8 * n * counted.num_columns))
+    for column in file.schema_arrow:
+        told = column.metadata or {}
+        unit = (told.get(b"unit") or told.get(b"units") or b"").decode()
+        is_nested = pa.types.is_nested(column.type) or pa.types.is_binary(column.type)
+        values = partial(_values_in_parquet, file, column.name)
+        why_not = NO_NUMBERS if is_nested else ""
+        group.channels.append(Signal(column.name, unit, values, why_not))
+    yield "table", group
+
+
+def _values_in_parquet(file: Any, name: str) -> np.ndarray:
+    import pyarrow as pa
+
+    column = file.read([name], use_threads=False).column(0)
+    kind = column.type
+    if pa.types.is_timestamp(kind) or pa.types.is_date(kind):
+        return np.asarray(column.cast(pa.timestamp("us")).to_numpy())
+    if pa.types.is_duration(kind):
+        return np.asarray(column.to_numpy() / np.timedelta64(1, "s"))
+    if pa.types.is_decimal(kind) or pa.types.is_boolean(kind):
+        column = column.cast(pa.float64())
+    elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        return np.array(column.cast(pa.string()).fill_null("").to_pylist(), dtype=str)
+    return np.asarray(column.to_numpy())
+
+
+GROUPS_BY = {
+    "asammdf": _groups_of_mdf,
+    "nptdms": _groups_of_tdms,
+    "pyarrow": _groups_of_parquet,
+    "rosbags": groups_of_bag,
+}
 
 
 # ---- conversions of MDF files --------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Read the variables of a MATLAB file, by SciPy, in a process of its own.
+"""Read the variables of a MATLAB file up to version 7, by SciPy, in an own process.
 
 The arrays are the values of the variables: numbers as they are; a text says of all else
 what it is.
@@ -21,21 +21,18 @@ UNREAD = (
 Named = Iterator[tuple[str, np.ndarray]]
 
 
-def read(content: Any, title: str, most: int) -> tuple[list[str], list[np.ndarray]]:
-    """The names and the values of the variables.
+def read(
+    content: Any, title: str, most: int
+) -> tuple[list[tuple[str, str]], list[np.ndarray]]:
+    """The names of the variables, each with its unit, which is "", and the values.
 
     Raises:
-        OSError: it is of a version that SciPy cannot read, or too large.
+        OSError: they are too large.
     """
     # SciPy calls each table "None": several are no duplicates. `_named` names them.
     lost = 'Duplicate variable name "(?!None")|Unreadable variable'
     warnings.filterwarnings("error", lost)
-    try:
-        loaded = loadmat(content)
-    except NotImplementedError as error:
-        raise OSError(
-            "it is a MATLAB file of version 7.3 (HDF5), which is not supported"
-        ) from error
+    loaded = loadmat(content)
     variables: dict[str, np.ndarray] = {}
     for name, value in loaded.items():
         if isinstance(value, MatlabOpaque):
@@ -44,7 +41,7 @@ def read(content: Any, title: str, most: int) -> tuple[list[str], list[np.ndarra
             variables |= _named(name, value)
     size = sum(value.nbytes for value in variables.values())
     check_size(size, most, "when decompressed")
-    return list(variables), list(variables.values())
+    return [(name, "") for name in variables], list(variables.values())
 
 
 def _named(name: str, value: Any) -> Named:

@@ -180,7 +180,7 @@ class TableReaders:
         source: BinarySource | Iterable[BinarySource],
         **words: Unpack[TableWords],
     ) -> Self:
-        """Read MATLAB files of version 4 to 7.
+        """Read MATLAB files; those of version 7.3 need the extra ``loggers``.
 
         A column is a vector, a column or row of a matrix, or a field of a struct, and
         is called as in MATLAB: "y", "X(:,2)", "X(2,:)", "log.y", or
@@ -192,6 +192,27 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with file, column and row, and with
                 what the file holds where a column is not found.
+        """
+        return cls._from_files(source, words, table_of_mat)
+
+    @classmethod
+    @interruptible
+    def from_hdf5(
+        cls,
+        source: BinarySource | Iterable[BinarySource],
+        **words: Unpack[TableWords],
+    ) -> Self:
+        """Read HDF5 files (.h5, .hdf5); this needs the extra ``loggers``.
+
+        A column is a dataset with one axis, or a column of one with two, called as in
+        `from_mat`: "log.y" is the dataset y of the group log, "log.X(:,2)" the second
+        column of X. Units are those of attributes "unit" or "units".
+
+        Args:
+            source, **words: As in `from_excel`.
+
+        Raises:
+            DataError: Something cannot be used; as in `from_mat`.
         """
         return cls._from_files(source, words, table_of_mat)
 
@@ -216,7 +237,7 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with file, channel and row.
         """
-        return cls._from_files(source, words, table_of_groups, "asammdf", group)
+        return cls._from_files(source, words, table_of_groups, "from_mdf", group)
 
     @classmethod
     @interruptible
@@ -238,7 +259,51 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with file, channel and row.
         """
-        return cls._from_files(source, words, table_of_groups, "nptdms", group)
+        return cls._from_files(source, words, table_of_groups, "from_tdms", group)
+
+    @classmethod
+    @interruptible
+    def from_parquet(
+        cls,
+        source: BinarySource | Iterable[BinarySource],
+        **words: Unpack[TableWords],
+    ) -> Self:
+        """Read Parquet files; this needs the extra ``loggers``.
+
+        Units are those of the metadata of a column, "unit" or "units".
+
+        Args:
+            source, **words: As in `from_excel`.
+
+        Raises:
+            DataError: Something cannot be used; with file, column and row.
+        """
+        return cls._from_files(source, words, table_of_groups, "from_parquet", None)
+
+    @classmethod
+    @interruptible
+    def from_bag(
+        cls,
+        source: BinarySource | Iterable[BinarySource],
+        *,
+        group: str | None = None,
+        **words: Unpack[TableWords],
+    ) -> Self:
+        """Read bags of ROS 1 (.bag) and ROS 2 (.db3), and MCAP files.
+
+        This needs the extra ``loggers``. A group is a topic, whose messages are those
+        of ROS or, in an MCAP file, JSON. A column is a number in them, called by its
+        place: "pose.position.x", "data.2". "time" has the times at which they were
+        recorded, in s since the first message of the file.
+
+        Args:
+            group: The topic; None: the only one.
+            source, **words: As in `from_mdf`.
+
+        Raises:
+            DataError: Something cannot be used; with file, channel and row.
+        """
+        return cls._from_files(source, words, table_of_groups, "from_bag", group)
 
     @classmethod
     @interruptible

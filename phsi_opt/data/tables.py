@@ -51,6 +51,7 @@ class Variable:
     name: str  # as in MATLAB; a field as "struct.field"
     said: str  # what it is: "the number 9.81", "3 x 4 numbers", "text"
     value: float | None = None  # of a single real number; None for all others
+    unit: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from phsi_opt.data.checks import Hold
-from phsi_opt.data.file_opening import NamedFile
+from phsi_opt.data.file_opening import READERS, NamedFile
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.numbers import shortened
@@ -51,7 +51,7 @@ KEPT = ("effects", "study", "loss")  # sections that the page does not show
 MOST_UPLOADED = 20_000_000
 MOST_FILES = 50  # of one study; each is a run
 # What the name of an uploaded table may end in; the ending tells how it is read.
-TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx", ".mf4", ".mdf", ".tdms")
+TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", *READERS)
 STUDY_KIND = ".toml"  # of a study file
 
 

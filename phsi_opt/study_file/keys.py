@@ -30,14 +30,14 @@ parameters | table | the parameters: a number is fixed, start is a starting valu
 effects | list of tables | effects of your own, as [[effects]]
 study | table | effects added so far; effects to consider or to exclude
 loss | table | the loss of the fit; default: maximum likelihood
-data.files | list of files | text, .xlsx, .mat, .mf4, .tdms; relative to the file
+data.files | list of files | text, .xlsx, .mat, ...; relative to this file
 data.trajectory | text | column with the name of the run; default: a single run
 data.hold | "linear", "zero" or "cubic" | inputs between samples; default linear
 data.time | table | the times
 data.between | list of two numbers | first and last time to use; default: all
 data.thinned | whole number | so many samples are averaged into one; default: none
 data.sheet | text | sheet of the workbook (.xlsx); default: the only one
-data.group | text | group of channels (.mf4, .tdms); default: the only one
+data.group | text | group of channels, topic of a bag; default: the only one
 data.columns | list of texts | names of the columns, if the file has no header
 data.separator | text | separator of the cells in a text file; default: detected
 data.decimal | text | decimal separator; default: detected

@@ -13,6 +13,7 @@ import numpy as np
 
 from phsi_opt.arguments import typed
 from phsi_opt.data.binary_tables import (
+    LOGGERS,
     table_of_excel,
     table_of_groups,
     table_of_mat,
@@ -38,7 +39,6 @@ from phsi_opt.presentation.units import scale_of
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 TEXT_READER = "from_csv"
-LOGGERS = {"from_mdf": "asammdf", "from_tdms": "nptdms"}
 OF_TEXTS = ("columns", "separator", "decimal", "skip", "units_row")
 
 
@@ -223,11 +223,11 @@ def table_at(
     is_unknown = section is None
     reader = reader_of(path)
     (file,) = opened_files(path, as_text=reader == TEXT_READER)
-    if reader == "from_mat":
+    if reader in ("from_mat", "from_hdf5"):
         return table_of_mat(file, given.wanted) if section else table_of_vectors(file)
     if reader in LOGGERS:
         wanted = None if is_unknown else given.wanted
-        return table_of_groups(file, wanted, LOGGERS[reader], given.group)
+        return table_of_groups(file, wanted, reader, given.group)
     form = TextFormat(**{name: getattr(given, name) for name in OF_TEXTS})
     if reader == TEXT_READER:
         return table_of_csv(file, given.wanted, form)

@@ -117,6 +117,7 @@ INNER = {"built", "with_parameters", "rhs_slopes", "from_content", "index"}
 INNER |= {"terms_at", "placed_at"}
 INNER |= {"trajectory_number", "from_tables", "function", "chart", "sympy"}
 INNER |= {"from_excel", "from_mat", "from_mdf", "from_tdms", "load"}
+INNER |= {"from_hdf5", "from_parquet", "from_bag"}
 # Each of these files is read in a process of its own, for up to a second and a half.
 BINARY = (
     "Measurements.from_mdf, bytes",
