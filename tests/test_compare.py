@@ -186,5 +186,6 @@ def test_it_is_told_what_to_do_where_a_run_is_flat() -> None:
     assert flat_sentence(["q", "w"]) == (
         "The free run of q and w is almost constant and does not follow the "
         "measurements. The fit probably ended at a wrong optimum, and a diagnosis of "
-        "it would be meaningless. Choose other starting values for the parameters."
+        "it would be meaningless. Check the sign of each term, and choose other "
+        "starting values for the parameters."
     )

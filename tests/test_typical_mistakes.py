@@ -135,3 +135,17 @@ def test_a_typical_mistake_is_told_with_its_place_and_its_repair(
     assert [word for word in words if word not in said] == [], said
     assert len(said) <= MOST_LETTERS
     assert "\n" not in said and "Error" not in said
+
+
+@pytest.mark.parametrize(("force", "words"), [
+    ("k*q - c*v", "neighbouring samples: check the sign of the term with k: k = -2"),
+    ("-k*q + c*v", "c is at its lower bound 0; the data favour values beyond it: check the sign of the term with c."),
+])  # fmt: skip
+def test_a_wrong_sign_is_told_with_its_term(force: str, words: str) -> None:
+    truth = ph.FirstOrder(["q", "v"], F={"q": "v", "v": ph.formula("-2*q - 0.3*v")})
+    x = ph.simulate(truth, T, [1.0, 0.0])
+    x = x + 0.01 * np.random.default_rng(0).normal(size=x.shape)
+    free = {name: ph.Parameter(0.5, lower=0) for name in "kc"}
+    model = ph.FirstOrder(["q", "v"], F={"q": "v", "v": ph.formula(force, **free)})
+    said = " ".join(ph.identify(model, measured(x=x, states=["q", "v"])).warnings)
+    assert words in said

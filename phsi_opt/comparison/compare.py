@@ -525,8 +525,8 @@ def flat_sentence(states: Sequence[str]) -> str:
     return (
         f"The free run of {' and '.join(states)} is almost constant and does not "
         "follow the measurements. The fit probably ended at a wrong optimum, and a "
-        "diagnosis of it would be meaningless. Choose other starting values for the "
-        "parameters."
+        "diagnosis of it would be meaningless. Check the sign of each term, and choose "
+        "other starting values for the parameters."
     )
 
 

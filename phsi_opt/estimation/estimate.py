@@ -312,10 +312,11 @@ class Estimate(ABC):
         bound = parameter.nearest_bound(self.theta[place])
         side = "lower" if bound == parameter.lower else "upper"
         told = parameter_words(self.model, name)
+        sign = "" if bound else f"check the sign of the term with {told}. "
         return (
             f"{told} is at its {side} bound {bound:g}; the "
-            "data favour values beyond it. The model may be incomplete, or the bound "
-            "wrong. It has no standard error, and others treat it as known"
+            f"data favour values beyond it: {sign}The model may be incomplete, or the "
+            "bound wrong. It has no standard error, and others treat it as known"
         )
 
     def _model_error_rows(

@@ -33,7 +33,12 @@ from phsi_opt.estimation.likelihood_problem import (
     StartingPoint,
     likeliest,
 )
-from phsi_opt.estimation.optimum_checks import finer_steps, residual_warnings
+from phsi_opt.estimation.optimum_checks import (
+    finer_steps,
+    is_small_beside_motion,
+    residual_warnings,
+    worst_share,
+)
 from phsi_opt.estimation.phsi_solve import PHSISolver, best_of_starts
 from phsi_opt.initialization.relative_guesses import (
     corner_widths,
@@ -43,6 +48,7 @@ from phsi_opt.initialization.relative_guesses import (
 from phsi_opt.initialization.scaling import kinematic_states, theta_scale
 from phsi_opt.initialization.starting_values import starting_values
 from phsi_opt.model.model import Model
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model_error.joint_estimate import STEPS_OF_A_PROBLEM
 from phsi_opt.sweeps.sweep import Progress, ahead, silent
 from phsi_opt.transcription.augmented_states import with_memory
@@ -76,10 +82,45 @@ def by_likelihood(problem: LikelihoodProblem, start: Fit | None) -> LikelihoodEs
         return problem.solve(there, l1=l1)
 
     estimate = pruned(estimate, resolve)
-    warnings = residual_warnings(estimate)
+    signs = wrong_signs(problem, estimate) if start is None else {}
+    warnings = residual_warnings(estimate, signs)
     if not warnings:
         return estimate  # with all that has been worked out about it
     return replace(estimate, notes=estimate.notes + warnings)
+
+
+def wrong_signs(
+    problem: LikelihoodProblem, estimate: LikelihoodEstimate
+) -> dict[str, float]:
+    """Parameters whose terms have the wrong sign, with the values that would fit.
+
+    Where residuals are a large share of the motion, the terms of H and F whose bound is
+    zero are fitted without it. Those count that end beyond, if the residuals fall to a
+    half.
+    """
+    if is_small_beside_motion(estimate):
+        return {}
+    task = problem.task
+    bounded: dict[str, Parameter] = {}
+    for name in task.model.free:
+        entry = task.model.entries[name]
+        bounds = (entry.parameter.lower, entry.parameter.upper)
+        if entry.slot in ("H", "F") and 0.0 in bounds:
+            bounded[name] = entry.parameter
+    if not bounded:
+        return {}
+    free = task.model.with_parameters(
+        lambda _, one: replace(one, lower=-np.inf, upper=np.inf), bounded
+    )
+    other = replace(problem, task=replace(task, model=free, say=silent))
+    found = other.solve_from(crude_start(other))
+    if not found.is_success or 2 * worst_share(found) > worst_share(estimate):
+        return {}
+    return {
+        name: found.values[name]
+        for name, one in bounded.items()
+        if not one.lower <= found.values[name] <= one.upper
+    }
 
 
 def _with_fine_steps(

@@ -12,6 +12,8 @@ constraint; the linearised likelihood says what that does to parameters and stat
 Nothing is solved here.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from phsi_opt.data.channel_noise import DEVIATION_PER_STEP
@@ -23,7 +25,7 @@ from phsi_opt.data.noise import (
 )
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.optimization.bounded_step import REGULAR
-from phsi_opt.presentation.units import scale_of
+from phsi_opt.presentation.units import scale_of, spaced
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import local_errors
 from phsi_opt.transcription.grid import steps_per_gap
@@ -54,26 +56,49 @@ def _rms_residual(estimate: LikelihoodEstimate) -> np.ndarray:
     return estimate.sigma * rms
 
 
+def worst_share(estimate: LikelihoodEstimate) -> float:
+    """Largest rms residual of a measured state over its standard deviation."""
+    is_measured = estimate.grid.measured_states
+    spread = channel_spread(estimate.task.data)[is_measured]
+    return float(np.max(_rms_residual(estimate)[is_measured] / (spread + TINY)))
+
+
+def is_small_beside_motion(estimate: LikelihoodEstimate) -> bool:
+    """Whether residuals are a small share of the motion.
+
+    A motion out of step leaves its own size: 0.53 to 1 of it in ten wrong optima of
+    swinging machines. Forces of 1 to 5 % that a model lacked left up to 0.26 in 74
+    right ones.
+    """
+    return worst_share(estimate) <= 0.3
+
+
 def is_at_scatter(estimate: LikelihoodEstimate) -> bool:
     """Whether it is an optimum whose residuals are what neighbouring samples scatter.
 
     The scatter of a few hundred samples is known to about a tenth. Residuals are a
-    small share of the motion, too. A motion out of step leaves its own size: 0.53 to 1
-    of it in ten wrong optima of swinging machines. Forces of 1 to 5 % that a model
-    lacked left up to 0.26 in 74 right ones.
+    small share of the motion, too.
     """
-    if not estimate.is_success:
-        return False
-    is_measured = estimate.grid.measured_states
-    limit = 0.3 * channel_spread(estimate.task.data)
-    is_small = np.all((_rms_residual(estimate) <= limit)[is_measured])
-    return bool(is_small) and _worst_ratio(estimate)[0] < 1.25
+    is_fine = estimate.is_success and is_small_beside_motion(estimate)
+    return is_fine and _worst_ratio(estimate)[0] < 1.25
 
 
-def residual_warnings(estimate: LikelihoodEstimate) -> tuple[str, ...]:
+def _sign_words(estimate: LikelihoodEstimate, signs: Mapping[str, float]) -> str:
+    told = []
+    for name, value in signs.items():
+        scale = scale_of(estimate.model.entries[name].parameter.unit)
+        told.append(f"{name} = {scale.shown(value):.3g}{spaced(scale.unit)}")
+    terms = f"term{'s' * (len(signs) > 1)} with {' and '.join(signs)}"
+    return f"check the sign of the {terms}: {', '.join(told)} would fit"
+
+
+def residual_warnings(
+    estimate: LikelihoodEstimate, signs: Mapping[str, float]
+) -> tuple[str, ...]:
     """Where residuals are far beyond the scatter, or quantisation sets the noise.
 
-    Nothing is said of channels whose noise was declared, which judges them already.
+    Nothing is said of channels whose noise was declared, which judges them already,
+    unless terms have the wrong signs: then, which values would fit.
     """
     data = estimate.task.data
     noise = estimate.levels
@@ -85,11 +110,18 @@ def residual_warnings(estimate: LikelihoodEstimate) -> tuple[str, ...]:
             cause = "there are outliers" if not spoilt else "the data may be the cause"
             if not spoilt or "outlier" in str(spoilt):
                 spoilt.append(HUBER)
+            causes = (
+                _sign_words(estimate, signs)
+                if signs
+                else (
+                    "the model is incomplete (diagnose it), "
+                    f"{cause} ({'; '.join(spoilt)}), or this is not the best optimum "
+                    "(choose other starting values)"
+                )
+            )
             warnings.append(
                 f"the residuals of {channel} are {ratio:.1f} times the scatter of "
-                "neighbouring samples: the model is incomplete (diagnose it), "
-                f"{cause} ({'; '.join(spoilt)}), or this is not the best optimum "
-                "(choose other starting values)"
+                f"neighbouring samples: {causes}"
             )
     unresolved = unresolved_channels(data)
     for k in np.flatnonzero(~noise.is_known & (noise.least > 0)).tolist():

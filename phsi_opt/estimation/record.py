@@ -377,11 +377,11 @@ def leaving_words(model: Model, data: Measurements, residuals: Runs) -> str:
     runs = ", ".join(map(attrgetter("name"), data.trajectories[:3]))
     advice = "choose other starting values for the parameters"
     if not model.free:
-        advice = "the formulas and their fixed numbers"
+        advice = "the fixed numbers of the formulas"
     return (
         f"The free run of {data.measured[worst]} leaves the measurements ({runs}): its "
         f"error is {errors[worst]:.3g} times their standard deviation; a constant is "
-        f"better. Check the units, and {advice}."
+        f"better. Check the units and the sign of each term, and {advice}."
     )
 
 
