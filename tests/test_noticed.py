@@ -106,6 +106,17 @@ def test_missing_samples_stuck_sensors_and_repeated_values_are_told() -> None:
     assert noticed(RNG.normal(size=T.size))[1].startswith("changes mostly between")
 
 
+def test_a_trend_under_an_oscillation_is_told_and_a_slow_motion_is_none() -> None:
+    fast = np.sin(9 * T) + NOISY - np.sin(T)
+    told = noticed(fast + 0.02 * T)[1]
+    assert told == "trend: its mean rises by 0.4 m in a run"
+    assert noticed(fast - 0.02 * T)[1] == told.replace("rises", "falls")
+    for q in (fast, np.exp(-T / 4) * fast, NOISY, 20 - np.exp(-T / 5)):
+        assert "trend" not in noticed(q)[1]
+    runs: Any = ([T, T], [fast + 0.02 * T, fast - 0.02 * T])
+    assert data_of(runs[1], runs[0]).noticed["noticed"][1] == "", "of both signs"
+
+
 def test_values_far_from_all_others_may_stand_for_missing_ones() -> None:
     for value in (-9999.0, 999.0, 1e30):
         said = (

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 import phsi_opt as ph
 from phsi_opt.command_line.app import app
+from phsi_opt.transcription.grid import AlignedData
 
 MOST_LETTERS = 300
 T = np.linspace(0.0, 5.0, 51)
@@ -104,6 +105,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], list[str]]] = {
     "no quotes": (lambda: study('H = "k*q**2/2 + p**2/(2*m)"', "H = k*q"), ["line 22", "H = k*q", "in quotes"]),
     "comma": (lambda: study("start = 10.0", "start = 10,0"), ["line 28", "10,0", "point"]),
     "quotes": (lambda: study("m = 2.5", 'm = "2.5"'), ["parameters.m", '"2.5"', "a number"]),
+    "no pairs": (lambda: study('pairs = [["q", "p"]]', ""), ["line 19", "pairs or S", 'A body has pairs = [["q", "p"]], the position first']),
     "states": (lambda: study('states = ["q", "p"]', 'states = "q, p"'), ["model.states", "'q, p'", "a list"]),
     "column": (lambda: study("position_m", "positon_m"), ["data.states.q.column", "positon_m", "'position_m'?"]),
     "file": (lambda: study("friction_spring.csv", "spring.csv"), ["data.files", "spring.csv", "relative"]),
@@ -149,3 +151,36 @@ def test_a_wrong_sign_is_told_with_its_term(force: str, words: str) -> None:
     model = ph.FirstOrder(["q", "v"], F={"q": "v", "v": ph.formula(force, **free)})
     said = " ".join(ph.identify(model, measured(x=x, states=["q", "v"])).warnings)
     assert words in said
+
+
+def test_degrees_without_a_unit_in_a_sine_are_told() -> None:
+    swing = np.column_stack([113 * np.cos(1.5 * T), np.sin(T)])
+    model = spring(H=ph.formula("k*(1 - cos(q)) + p**2/2", k=K))
+    words = "q runs from -113 to 113 in cos(q), which takes radians: probably these are"
+    (said,) = AlignedData.of(model, measured(x=swing)).notes
+    assert said.startswith(f"{words} degrees. Give the unit")
+    for x, units in ((swing / 57, {}), (swing, {"q": "rad"})):
+        assert not AlignedData.of(model, measured(x=x, units=units)).notes
+
+
+def test_pure_noise_is_explained_by_nothing() -> None:
+    noise = np.random.default_rng(0).normal(size=(400, 1)) * [1.0, np.nan]
+    data = measured(0.1 * np.arange(400), noise)
+    said = ph.compare(ph.identify(spring(), data), data).warning
+    assert said.startswith("Nothing explains the measurements of q: they look like")
+    assert not ph.compare(ph.identify(spring(), measured()), measured()).warning
+
+
+def test_a_fit_of_one_run_of_three_says_what_that_costs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    study('trajectory = "run"', 'trajectory = "run"')
+    runs = pd.read_csv("friction_spring.csv")
+    for n, is_told in ((3, True), (8, False)):
+        some = runs[runs["run"].isin(runs["run"].unique()[:n])]
+        some.to_csv("friction_spring.csv", index=False)
+        said = " ".join(CliRunner().invoke(app, ["check"]).stdout.split())
+        cost = "Only 201 of 603 samples are fitted: standard errors are about 1.7 times"
+        assert (cost in said) == is_told
+        runs.to_csv("friction_spring.csv", index=False)

@@ -183,9 +183,25 @@ class Comparison(Summarised):
 
     @property
     def warning(self) -> str:
-        """What to do if the free run leaves the data or is almost constant; or ""."""
+        """What to do if the free run leaves the data or is almost constant; or "".
+
+        Or if the data are noise: neighbouring samples differ as all samples do, and the
+        free run explains nothing of them.
+        """
         leaves = leaving_words(self.model, self.data, self.residuals)
-        return leaves or flat_sentence(self.flat)
+        words = leaves or flat_sentence(self.flat)
+        for one in self.data.look.state_looks:
+            known = one.values[one.known]
+            if words or (len(known) and not one.noise > 0.8 * np.std(known)):
+                return words
+        if self.table["fit_percent"].max() > 5:
+            return ""
+        names = " and ".join(self.data.measured)
+        return (
+            f"Nothing explains the measurements of {names}: they look like noise. "
+            "Check that these are the right columns, that the machine moved, and that "
+            "it was sampled fast enough."
+        )
 
     @property
     def weights(self) -> np.ndarray:

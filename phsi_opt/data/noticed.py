@@ -260,11 +260,44 @@ class DataLook:
             yield "moves by few steps of its resolution"
         if not one.hold and one.noise > np.std(values) / 2:
             yield "changes mostly between neighbours: noise, or sampled too slowly"
+        elif not one.hold:
+            yield from self._trend(one)
         if one.hold and is_stepped(np.split(one.values, self.ends)):
             is_held = one.hold == "zero"
             yield f"constant between jumps, {'held' if is_held else NOT_HELD}"
         elif one.hold and not one.resolution:
             yield from self._stays(one.values)
+
+    def _trend(self, one: ChannelLook) -> Iterator[str]:
+        """A line under the oscillation of each run, as a sensor that drifts adds it.
+
+        It is the line through the means of whole periods, which begin where the motion
+        rises through the line.
+        """
+        rises = []
+        for number, run in enumerate(self.trajectories):
+            is_own = np.isfinite(one.values) & (self.run == number)
+            t, y = self.t[is_own], one.values[is_own]
+            about = (
+                y - np.polyval(np.polyfit(t - t[0], y, 1), t - t[0]) if len(t) else y
+            )
+            far = np.flatnonzero(np.abs(about) > np.std(about) / 2)  # noise is nearer
+            begins = far[1:][np.diff(np.sign(about[far])) > 0]
+            if len(begins) <= MANY:
+                return
+            lengths = np.diff(begins)
+            y_means = np.add.reduceat(y[: begins[-1]], begins[:-1]) / lengths
+            t_means = np.add.reduceat(t[: begins[-1]], begins[:-1]) / lengths
+            line, spread = np.polyfit(t_means - t[0], y_means, 1, cov=True)
+            is_sure = np.abs(line[0]) > BEYOND * np.sqrt(spread[0, 0])
+            rise = line[0] * np.ptp(run.t)
+            if not is_sure or np.abs(rise) < np.std(about) / 4:
+                return
+            rises.append(rise)
+        if np.abs(np.sum(np.sign(rises))) == len(rises):
+            word = "rises" if rises[0] > 0 else "falls"
+            size = f"{np.abs(np.median(rises)):.2g}{spaced(one.unit)}"
+            yield f"trend: its mean {word} by {size} in a run"
 
     def errors(self, one: ChannelLook) -> Iterator[str]:
         """What a sensor or a logger may have spoilt, a phrase each."""

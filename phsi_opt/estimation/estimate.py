@@ -312,7 +312,8 @@ class Estimate(ABC):
         bound = parameter.nearest_bound(self.theta[place])
         side = "lower" if bound == parameter.lower else "upper"
         told = parameter_words(self.model, name)
-        sign = "" if bound else f"check the sign of the term with {told}. "
+        is_term = self.unknown.entries[place].slot in ("H", "F") and not bound
+        sign = f"check the sign of the term with {told}. " if is_term else ""
         return (
             f"{told} is at its {side} bound {bound:g}; the "
             f"data favour values beyond it: {sign}The model may be incomplete, or the "

@@ -253,6 +253,18 @@ def delays_in(text: str) -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
+def angles_in(text: str) -> dict[str, str]:
+    """Names that a sine, cosine or tangent takes without a factor, with the call."""
+    found: dict[str, str] = {}
+    for node in ast.walk(parse(text)):
+        match node:
+            case ast.Call(func=ast.Name(id="sin" | "cos" | "tan"), args=[angle]):
+                products = ast.Mult | ast.Div | ast.Pow
+                if not any(isinstance(one, products) for one in ast.walk(angle)):
+                    found |= dict.fromkeys(_names_below(angle), ast.unparse(node))
+    return found
+
+
 def divisors(text: str) -> list[str]:
     """What a formula divides by, each before its factors; of c/(2*m) it is m."""
     found: list[ast.expr] = []

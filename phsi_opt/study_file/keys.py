@@ -353,7 +353,11 @@ class Complaints:
         return any(one == key or one.startswith(below) for one in keys)
 
     def exactly_one(
-        self, content: Mapping[str, Any], names: tuple[str, ...], *place: str | int
+        self,
+        content: Mapping[str, Any],
+        names: tuple[str, ...],
+        *place: str | int,
+        proposal: str = "",
     ) -> str:
         """The one of several keys that a table has; "" where it has none or several.
 
@@ -361,13 +365,14 @@ class Complaints:
             content: what is usable of the table.
             names: the keys.
             *place: of the table.
+            proposal: what to write where it has none, as a sentence.
         """
         given = [one for one in names if one in content or self.about(*place, one)]
         if len(given) == 1:
             return given[0]
         both = " and ".join(given) or "none"
         said = f"expected exactly one of {' or '.join(names)}; found {both}."
-        self.add(said, *place, value="")
+        self.add(f"{said} {'' if given else proposal}".rstrip(), *place, value="")
         return ""
 
 

@@ -26,6 +26,7 @@ from phsi_opt.model.terms import Dictionary, Term, polynomials, trigonometric
 from phsi_opt.presentation.units import computed_unit, scale_of
 from phsi_opt.study_file.keys import Complaints, Place, is_number, listed, shown
 from phsi_opt.study_file.sections import DataSection
+from phsi_opt.study_file.toml_text import toml_value
 
 WITH_ENERGY, WITHOUT_ENERGY = KINDS  # the types of models
 OF_ENERGY = ("H", "pairs", "S")
@@ -162,7 +163,10 @@ class ModelReader:
         return False
 
     def _structure(self) -> Any:
-        if self.faults.exactly_one(self.section, ("pairs", "S"), "model") == "S":
+        pair = toml_value([list(self.states[:2])])
+        body = f"A body has pairs = {pair}, the position first; a tank has pairs = []."
+        ways = ("pairs", "S")
+        if self.faults.exactly_one(self.section, ways, "model", proposal=body) == "S":
             return self.section.get("S")
         S = np.zeros((len(self.states), len(self.states)))
         for pair in self.section.get("pairs", ()):

@@ -27,6 +27,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noticed import breaks_of
 from phsi_opt.data.trajectory import InputCurve, is_stepped
 from phsi_opt.errors import DataError, some_of
+from phsi_opt.model.expressions import angles_in
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.model.unit_checks import UnitCheck
@@ -282,7 +283,8 @@ class AlignedData:
 
     Made once and handed on: alignments for larger models are kept. The grid has one
     interval between neighbouring samples; notes say which runs are copies of others,
-    which inputs jump but are interpolated, and which the model does not have.
+    which inputs jump but are interpolated, which the model does not have, and which
+    channels may be angles in degrees.
     """
 
     data: Measurements
@@ -305,7 +307,8 @@ class AlignedData:
         copies = copies_in(ordered)
         once = counted_once(ordered, copies)
         notes = (sentence_about(copies),) if copies else ()
-        return cls(once, grid_of(once), (*notes, *_notes_on_inputs(model, data)))
+        notes += (*_notes_on_inputs(model, data), *_notes_on_angles(model, once))
+        return cls(once, grid_of(once), notes)
 
     def for_model(self, model: Model) -> "AlignedData":
         """The same for a model that has states more; itself where it has none."""
@@ -368,6 +371,22 @@ def _notes_on_inputs(model: Model, data: Measurements) -> Iterator[str]:
                 "between samples, so that it acts half a sample too early; if it keeps "
                 f'each value until the next sample, give hold={{"{name}": "zero"}} '
                 f'(in a study file: {name} = {{ ..., hold = "zero" }})'
+            )
+
+
+def _notes_on_angles(model: Model, data: Measurements) -> Iterator[str]:
+    """A sentence on every channel without a unit that may be an angle in degrees."""
+    angles: dict[str, str] = {}
+    for placed in model.placed():
+        angles |= angles_in(placed.term.body)
+    for one in data.look.channels:
+        low, high = np.fmin.reduce(one.values), np.fmax.reduce(one.values)
+        # More than a turn in radians: a motor turns so far, and has a unit.
+        if one.name in angles and not one.unit and high - low > 2 * np.pi:
+            yield (
+                f"{one.name} runs from {low:.3g} to {high:.3g} in {angles[one.name]}, "
+                "which takes radians: probably these are degrees. Give the unit of "
+                f'{one.name}, "deg" or "rad"; study files and data.in_si() convert it'
             )
 
 
