@@ -225,10 +225,10 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
     ("0.0 5 1\n0.5 7 2\n1.0 6 5\n", ['column = "0"', 'column = "1"']),
     ("time,a,a,b\n0,1,2,1\n1,2,3,2\n2,4,1,1\n", ["a: 2 columns have this name"]),
     ("t,q\n0,1\n1,2\n2,3\n", ["# [data.inputs]", "# between = [0, 2]", "# thinned = 2", "# trajectory = "]),
-    ("t,Ta,yref,StepTime(s)\n0,1,2,1\n1,2,3,2\n2,4,1,2\n", ['Ta = { column = "Ta" }  # 1 to 4; perhaps an input', '# Ta = { column', '# inputs = ["Ta"]', "yref: 1 to 3; a set point", "StepTime(s): 1 to 2; in a unit of time"]),
+    ("t,Ta,yref,StepTime(s)\n0,1,2,1\n1,2,3,2\n2,4,1,2\n", ['Ta = { column = "Ta" }  # 1 to 4; possibly an input', '# Ta = { column', '# inputs = ["Ta"]', "yref: 1 to 3; a set point", "StepTime(s): 1 to 2; in a unit of time"]),
     ("t,name,q\n0,a very long name of a thing,1\n1,b,2\n2,c,1\n3,d,2\n", ['text: "a very long name of ...", "b", "c", ...']),
     ("t,q\n0,1\n1,broken\n2,3\n3,inf\n4,2\n", ['q = { column = "q" }  # 1 to 3', "correct in the data file: column 'q', line 3: 'broken' is not a real number. Correct"]),
-    ("t,q\n0,1\n1,2\n1,3\n0.5,4\n", ['time = { column = "t" }', "correct in the data file: column 't', line 4: 1.0 is not after 1.0 of line 3;"]),
+    ("t,q\n0,1\n1,2\n1,3\n0.5,4\n", ['time = { column = "t" }', "correct in the data file: column 't', line 4: 1.0 repeats the time of line 3;"]),
     ("t,q\n0,1\n,2\n1,3\n2,4\n", ['time = { column = "t" }', "correct in the data file: column 't', line 3: the value is nan; times"]),
     ("q\n1\n3\n2\n", ['# time = { step = 0.01, unit = "s" }']),
     ("t,q\n0,1\n1,2\n", ['in seconds? then add unit = "s"']),
@@ -243,7 +243,7 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
     ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "column 'run', line 7: the trajectory's name is missing"]),
     ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['q = { column = "q", unit = "m" }', "# units_row = 2  # units in line 2"]),
     ("t,u,q\n0,1,1\n1,,2\n2,2,1\n", ["1 to 2, 1 cell missing; an input must be known at every sample\n"]),
-    ("t,u\n0,1\n1,2\n", ['u = { column = "u" }  # 1 to 2; perhaps an input']),
+    ("t,u\n0,1\n1,2\n", ['u = { column = "u" }  # 1 to 2; possibly an input']),
 ])  # fmt: skip
 def test_init_looks_at_the_columns(tmp_path, table, words) -> None:
     (tmp_path / "data.csv").write_text(table)
@@ -501,7 +501,7 @@ def test_no_command_fits_again_what_one_before_it_fitted(short: Path) -> None:
     lines_and_answer(FIT, short)
     lines, after_fit = lines_and_answer(COMPARE, short)
     assert FITTING not in lines and ADDING not in lines
-    assert "taking up the fits in" in lines and "study.toml.cache" in lines
+    assert "reusing earlier fits (" in lines and "study.toml.cache" in lines
     assert after_fit == alone  # to the last digit
     short.write_text(short.read_text().replace(added, "added = []") + "# a comment")
     assert FITTING not in lines_and_answer(FIT, short)[0]

@@ -276,7 +276,7 @@ def test_channels_of_another_clock_are_put_on_the_times(tmp_path: Path) -> None:
 def test_a_study_file_says_which_clock_a_channel_has(tmp_path: Path) -> None:
     seen = looked_at(two_clocks(), tmp_path)
     said = {one.column: (one.part, one.said) for one in seen.columns}
-    assert said["Time B [s]"] == ("left out", "another clock: has its own times")
+    assert said["Time B [s]"] == ("left out", "another time column (its own times)")
     assert said["Force [N]"] == (
         "input",
         "0 to 48, 23 cells missing; times in Time B [s]",
@@ -290,7 +290,7 @@ def test_a_study_file_says_which_clock_a_channel_has(tmp_path: Path) -> None:
     said = {one.column: (one.part, one.said) for one in seen.columns}
     assert said["Force [N]"] == (
         "left out",
-        "another clock, Time B [ms], in another unit than Time A [s]: put it on common "
+        "another time column, Time B [ms], in another unit than Time A [s]: put it on common "
         "times to use it",
     )
 

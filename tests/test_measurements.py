@@ -104,7 +104,7 @@ def test_masked_entries_are_missing_samples() -> None:
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"t": [0, 2, 1]}, r"trajectory 'run 1': t\[2\]=1.0 is not after t\[1\]=2.0; .*Give each run as arrays of its own"),
+    ({"t": [0, 2, 1]}, r"trajectory 'run 1': t\[2\]=1.0 does not exceed t\[1\]=2.0; .*Give each run as arrays of its own"),
     ({"t": [0, np.nan, 1]}, r"trajectory 'run 1': t\[1\] is nan"),
     ({"t": np.zeros((3, 1))}, r"trajectory 'run 1': t has the shape \(3, 1\); expected \(n_samples,\)"),
     ({"t": [0, 1]}, "x has 3 rows and t has 2; expected one row per time"),

@@ -176,7 +176,7 @@ def test_a_hidden_force_is_found_in_its_equation_and_widens_the_standard_errors(
     assert TIME / 3 < row["time"] < 3 * TIME
     assert row["share"] == pytest.approx(0.1, abs=0.03)
     assert (widening(fit) > 2.5).all()
-    assert "standard errors: from model error (force in dv/dt" in str(fit)
+    assert "standard errors include model error (force in dv/dt" in str(fit)
     # Two of three standard errors, and none that is far off.
     z = errors_of(fit) / np.array([fit.std_errors[name] for name in TRUE])
     assert np.abs(z).max() < 3

@@ -158,7 +158,7 @@ def test_a_diagnosis_says_what_where_when_and_what_to_do(content, study) -> None
         "What is wrong": r"The model has an error of 0\.\d+ m in q .* dp/dt lacks a "
         r"force of [\d.]+ N \(rms\), [\d.]+ times its standard deviation and .*",
         "Where": r"In dp/dt\.",
-        "When": r"Clearly during \d+ % of the time, in both "
+        "When": r"Significant in \d+ % of the record, in both "
         r"training runs; mostly at [\d.]+ Hz\. It is strongest at t = .* of run \d\..*",
         "What to do next": r"Add coulomb friction on p\. In Python, study\.add .*",
     }
@@ -184,12 +184,11 @@ def test_the_first_screen_says_what_was_found_how_sure_and_how_good(
     assert answers["Verdict"].lead == "Nothing missing."
     assert "What is wrong" not in answers
     assert answers["How sure is it"].lead == (
-        "That it was missing is practically certain (odds of more than a million to "
-        "one)."
+        "Practically certain (odds of more than a million to one)."
     )
     assert re.fullmatch(
-        r"In free runs of up to [\d.]+ s it follows q to [\d.]+ m, the noise of the "
-        r"measurements\.",
+        r"Simulated freely for up to [\d.]+ s, it stays within [\d.]+ m \(rms\) of the "
+        r"measured q: the size of the noise\.",
         answers["How good is the model"].lead,
     )
     covered = r"The data cover q from -[\d.]+ to [\d.]+ m; measure again .*"
@@ -294,9 +293,9 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     answers = {one.question: one.told for one in headline.answers}
     assert answers["Where"].startswith("In the force on q (dp/dt)")
     assert re.match(
-        r"In free runs of up to 5 s it follows q to 0\.\d+ m, [\d.]+ times the noise\. "
-        r"On data not used for fitting, each run from a state that was estimated from "
-        r"all of it; the noise is [\d.]+ m\. In the worst of its 2 runs "
+        r"Simulated freely for up to 5 s, it stays within 0\.\d+ m \(rms\) of the measured "
+        r"q, [\d.]+ times the noise\. On data not used for fitting; the initial state of "
+        r"each run is estimated from the whole run; the noise is [\d.]+ m\. In the worst of its 2 runs "
         r"\(run \d\), 0\.\d+ m\.",
         answers["How good is the model"],
     )
@@ -467,7 +466,7 @@ def test_verdict_table_and_picture_use_the_same_words(page, content, study) -> N
     (head,) = [k for k, line in enumerate(lines) if line.startswith("| Step | Model |")]
     assert lines[head + 1].startswith("| --- | --- |")
     assert lines[head + 2].startswith("| 0 | base model | 0.0")
-    assert any(line.endswith(" | nothing | accepted |") for line in lines)
+    assert any(line.endswith(" | no other | accepted |") for line in lines)
     titled = replace(study.record, title="Drive <7>")
     assert "<title>Drive &lt;7&gt;: " in html_report(study_content(titled))
 

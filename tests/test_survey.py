@@ -73,13 +73,13 @@ def test_a_clock_beside_the_times_counts_the_same_moments_or_its_own(table) -> N
     rng = np.random.default_rng(0)
     q, v = rng.normal(size=(2, 40))
     # 0.9 % of a step beside the common moments, or 1.1 %.
-    for share, said in ((0.009, "as regular as t"), (0.011, "has its own times")):
+    for share, said in ((0.009, "same spacing as t"), (0.011, "its own times")):
         other = 5 + 1000 * t
         other[20] += 1000 * share
         seen = of_columns(table, t=t, q=q, time_ms=other, v=v)
         parts = remarks(seen)
-        assert parts["time_ms"] == ("left out", f"another clock: {said}")
-        assert (parts["v"][0] == "state") == (said == "as regular as t")
+        assert parts["time_ms"] == ("left out", f"another time column ({said})")
+        assert (parts["v"][0] == "state") == (said == "same spacing as t")
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,9 @@ def test_a_clock_that_begins_anew_begins_a_run(table: Path) -> None:
 
 def test_a_clock_that_goes_back_elsewhere_is_refused_without_harm(table: Path) -> None:
     table.write_text("t,q\n0,1\n1,2\n2,3\n1,4\n2,5\n")
-    with pytest.raises(ph.DataError, match=r"line 5: 1.0 is not after 2.0") as error:
+    with pytest.raises(
+        ph.DataError, match=r"line 5: time goes back from 2.0 in line 4 to 1.0"
+    ) as error:
         ph.Measurements.from_csv(table, time="t", states=["q"])
     assert "cut the file where a run begins" in str(error.value)
     assert "Sort" not in str(error.value)
@@ -185,7 +187,7 @@ def test_the_parts_of_columns_follow_from_their_names_and_values(table: Path) ->
             "-1 to 0.9999; in a unit of time, and another column has the times",
         ),
         "force": ("input", "0.05001 to 2.05"),
-        "Ta": ("state", "1 to 3; perhaps an input"),
+        "Ta": ("state", "1 to 3; possibly an input"),
         "level": ("input", "1 to 2; constant between jumps: held"),
         "still": ("left out", "always 3.5"),
     }

@@ -110,10 +110,10 @@ def best(found: ForceAnalysis, equation: str = "p") -> tuple[str, float]:
 
 
 @pytest.mark.parametrize(("name", "variable", "cause", "words"), [
-    ("friction", "p", "dissipated", "follows the velocity of q"),
-    ("cubic", "q", "conserved", "follows the position q"),
+    ("friction", "p", "dissipated", "depends on the velocity of q"),
+    ("cubic", "q", "conserved", "depends on the position q"),
     ("wave", "t", "time", "depends on time"),
-    ("dead zone", "u", "inputs", "follows the input u"),
+    ("dead zone", "u", "inputs", "depends on the input u"),
     ("constant", "constant", "constant", "is constant at 3.94 N"),
 ])  # fmt: skip
 def test_what_the_hidden_force_follows_and_does_with_energy_is_named(
@@ -134,7 +134,7 @@ def test_what_the_hidden_force_follows_and_does_with_energy_is_named(
 def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
     record = spring_with(friction, model=spring(c=D))
     found = ForceAnalysis.of(record)
-    assert "It follows the velocity of q, which explains" in found.sentences[0]
+    assert "It depends on the velocity of q, which explains" in found.sentences[0]
     speed = np.abs(record.estimate.x[:, 1] / M).mean()
     # Minus friction times speed, but for what smoothing takes off where the velocity
     # turns.
@@ -250,10 +250,10 @@ def closing() -> Iterator[None]:
 def test_the_panels_name_what_they_show(cases) -> None:
     axes = plot_where(cases["cubic"]).axes
     titles = [" ".join(ax.get_title().split()) for ax in axes if ax.get_title()]
-    expected = ["Clearly during", "q predicts"]
+    expected = ["Significant in", "q predicts"]
     for title, part in zip(titles, expected, strict=True):
         assert part in title
-    assert "without what other values of the parameters explain" in titles[-1]
+    assert "after removing what other parameter values could explain" in titles[-1]
     assert "(N)" in axes[0].get_ylabel()
     with pytest.raises(ph.ModelError, match=r"equation=.q. has no missing force.*of p"):
         plot_where(cases["wave"], "q")

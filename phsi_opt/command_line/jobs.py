@@ -52,7 +52,7 @@ def run(job: Job, tell: Tell) -> Answer:
         return _of_saved_fit(job, file, tell)
     kept = KeptFits.of(job.study, file, file.split()[0])
     if kept.with_effects() is not None:
-        tell(f"taking up the fits in {kept.path}")
+        tell(f"reusing earlier fits ({kept.path})")
     keeper = _Keeper(job, tell, len(file.steps.added), kept)
     study = file.study(keeper.progress, keeper.step_finished, kept)
     if job.kind == FIT:

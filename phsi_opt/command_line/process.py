@@ -107,7 +107,7 @@ def _found_effects(job: Job, found: tuple[str, ...]) -> list[str]:
         return []
     if not job.write:
         commands = [f'phsi-opt add "{name}" {job.study}' for name in found]
-        return ["to write the added effects into the study file:", *commands]
+        return ["To keep what was found (or run with --write):", *commands]
     try:
         backup = add_effects(job.study, found)
     except PhsiOptError as error:

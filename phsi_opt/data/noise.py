@@ -19,6 +19,7 @@ from phsi_opt.criteria import RESOLVED_STEPS, SURE_LEVEL
 from phsi_opt.data.channel_noise import DEVIATION_PER_STEP, robust_deviation
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
+from phsi_opt.presentation.units import scale_of, spaced
 from phsi_opt.statistics import chi_square_tail
 
 # least noise that is assumed, as a share of the spread of a channel: weights stay
@@ -55,9 +56,13 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     y = data.stacked("x")
     highest = np.fmax.reduce(y)  # NaN is not measured
     if not (highest > np.fmin.reduce(y)).any():
+        told = []
+        for name in data.measured:
+            scale = scale_of(data.units.get(name, ""))
+            value = scale.shown(highest[data.states.index(name)])
+            told.append(f"{name} is always {value:g}{spaced(scale.unit)}")
         raise DataError(
-            f"every measured value of {', '.join(data.measured)} is the same "
-            f"({np.nanmax(highest):g}): nothing moves, so nothing can be identified. "
+            f"{', '.join(told)}: nothing moves, so nothing can be identified. "
             "Check the columns, or measure while the system moves."
         )
     spread = channel_spread(data)

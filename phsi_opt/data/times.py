@@ -327,10 +327,13 @@ def _check_increasing(
         for part in runs_of_clock(t, own):
             for i in np.flatnonzero(np.diff(t[part]) <= 0)[:1]:
                 before, after = part[i : i + 2].tolist()
+                row = table.row(before)
+                said = f"time goes back from {told[before]} in {row} to {told[after]}"
+                if t[before] == t[after]:
+                    said = f"{told[after]} repeats the time of {row}"
                 raise DataError(
-                    f"{table.place(column, after)} {told[after]} is not after "
-                    f"{told[before]} of {table.row(before)}; times must increase "
-                    f"strictly. {_advice(table, t[own], before, after)}"
+                    f"{table.place(column, after)} {said}; times must increase. "
+                    f"{_advice(table, t[own], before, after)}"
                 )
 
 

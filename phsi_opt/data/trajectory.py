@@ -79,8 +79,8 @@ class Trajectory:
         for before in np.flatnonzero(np.diff(self.t) <= 0)[:1]:
             after = before + 1
             raise DataError(
-                f"{title}: t[{after}]={float(self.t[after])} is not after "
-                f"t[{before}]={float(self.t[before])}; times must increase strictly. "
+                f"{title}: t[{after}]={float(self.t[after])} does not "
+                f"exceed t[{before}]={float(self.t[before])}; times must increase. "
                 "Give each run as arrays of its own; correct or leave out a sample "
                 "whose time is wrong."
             )

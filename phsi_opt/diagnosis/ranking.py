@@ -28,7 +28,7 @@ from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.sweep import Progress, ahead
 
-NO_EVIDENCE = "no states follow the measurements with it"
+NO_EVIDENCE = "with it the model cannot follow the measurements"
 UNREPEATED = (
     "the record has only {:.1f} of its periods, and any slow change looks like that"
 )
@@ -198,7 +198,7 @@ def _ranked_beside(
             try:
                 weighed = next(results)()
             except SolveError:
-                base.say(f"{one.effect} is not considered: {NO_EVIDENCE}")
+                base.say(f"{one.effect} was skipped: {NO_EVIDENCE}")
                 failed = _expected(base, one, NO_EVIDENCE)
                 ranking.candidates.append(replace(failed, log_bayes=np.nan))
                 continue

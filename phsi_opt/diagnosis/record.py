@@ -271,7 +271,7 @@ class Diagnosis(Summarised):
         time = scale_of(self.data.units.get("t", ""))
         forces = self.analysis.forces
         runs = [force_runs(force, TRAINING, time)[number] for force in forces]
-        title = "Significant where the band does not include zero"
+        title = "Significant where the band excludes zero"
         return drawn(force_chart(runs, time.unit), title, ax)
 
     def figure(self, equation: str | None = None) -> "Figure":
@@ -382,7 +382,7 @@ def _where(diagnosis: Diagnosis) -> Answer:
         return Answer(f"{capitalised(' or '.join(places))}.")
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
-        return Answer("No equation, time or region is conspicuous.")
+        return Answer("No particular equation, time or region stands out.")
     return where_answer(force)
 
 

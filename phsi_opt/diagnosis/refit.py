@@ -277,7 +277,7 @@ def refit(base: DiagnosedModel, candidate: WeighedEffects) -> DiagnosedModel | N
         larger = Refitting(base, candidate)
         return base.with_run(larger.with_steps_as_fine_as_its_run(larger.begun()))
     except PhsiOptError:
-        base.say(f"{candidate.name} is not considered: it could not be re-fitted")
+        base.say(f"{candidate.name} was skipped: its re-fit failed")
         return None
 
 

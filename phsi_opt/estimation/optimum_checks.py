@@ -114,9 +114,9 @@ def residual_warnings(
                 _sign_words(estimate, signs)
                 if signs
                 else (
-                    "the model is incomplete (diagnose it), "
-                    f"{cause} ({'; '.join(spoilt)}), or this is not the best optimum "
-                    "(choose other starting values)"
+                    f"physics is missing (diagnose the model), {cause} "
+                    f"({'; '.join(spoilt)}), or the optimum is a poor one (choose "
+                    "other starting values)"
                 )
             )
             warnings.append(

@@ -138,7 +138,7 @@ def where_answer(force: EquationForce) -> Answer:
 def when_answer(force: EquationForce) -> Answer:
     """When a force is there, in which runs, and when it is strongest."""
     if force.is_uncertain:
-        return Answer("At no time significantly.")
+        return Answer("Never significant.")
     record = force.record
     runs = [np.flatnonzero(record.run == k) for k in range(len(record.along.runs))]
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs

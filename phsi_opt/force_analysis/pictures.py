@@ -115,7 +115,7 @@ def _dependence_words(force: EquationForce, variable: str) -> str:
     of = f"variation of the {force.quantity} missing in d{force.equation}/dt"
     less = ""
     if variable != TIME_NAME and force.by_parameters.shape[1]:
-        less = ", without what other values of the parameters explain"
+        less = " (shown after removing what other parameter values could explain)"
     return f"{told} predicts {percent:.0f} % of the {of}{less}"
 
 

@@ -258,7 +258,7 @@ def fast_motion(model: Model, grid: Grid, units: Mapping[str, str]) -> str:
         return ""
     return (
         f"The values {', '.join(starts)} let the model oscillate "
-        f"{frequency_words(found, units)}. The samples show oscillations up to their "
-        f"Nyquist limit, {frequency_words(limit, units)}. Check the units, or choose "
-        "other starting values."
+        f"{frequency_words(found, units)}. The samples can show oscillations only "
+        f"up to their Nyquist limit, {frequency_words(limit, units)}. Check the units, "
+        "or choose other starting values."
     )

@@ -246,7 +246,7 @@ class DataView:
         known = (USUAL_WAYS[section], *WAYS, NOTHING)
         ways = {one: WAYS.get(one, one) for one in known}
         if USUAL in ways and len(runs) < 3:
-            ways[USUAL] = "nothing, as there are few runs"
+            ways[USUAL] = "none (too few runs)"
         choice(label_of(section), ways, part["way"], set_way)
         if part["way"] == "runs":
             chosen = set(listed(part.get("runs", ())))

@@ -306,7 +306,7 @@ class Ranked:
             "Evidence": typeset(self.evidence),
             "Explains": "" if self.share is None else f"{100 * self.share:.0f} %",
             "Error with it": words,
-            "Confusable with": proper_names(some_of(self.confused_with, "nothing")),
+            "Confusable with": proper_names(some_of(self.confused_with, "no other")),
             "Result": said(self.lost or "accepted"),
         }
 

@@ -33,7 +33,7 @@ INPUT = "input"
 UNUSED = "left out"
 # Where a study file has the keys of a column that is this part.
 KEYS_OF_PARTS = {TIME: "data.time", STATE: "data.states.*", INPUT: "data.inputs.*"}
-PERHAPS_INPUT = "perhaps an input"
+PERHAPS_INPUT = "possibly an input"
 DATES = "dates"
 DAYS = (  # which ISO 8601 does not have
     *("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%Y/%m/%d", "%d-%b-%Y"),

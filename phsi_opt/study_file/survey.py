@@ -61,7 +61,7 @@ PERHAPS_INPUT_WORDS = words_in(
     "inflow heating pulses disturbance ps ph ta thm qh"
 )
 
-OTHER_CLOCK = "another clock"
+OTHER_CLOCK = "another time column"
 PART_OF_TIME = "belongs to the times in"
 
 
@@ -345,8 +345,8 @@ def _find_other_clocks(
             assert one.values is not None
             is_same = not one.n_missing and _runs_alike(time.values, one.values)
             clock = None if is_same else one
-            said = f"as regular as {time.column}" if is_same else "has its own times"
-            one.said = f"{OTHER_CLOCK}: {said}"
+            said = f"same spacing as {time.column}" if is_same else "its own times"
+            one.said = f"{OTHER_CLOCK} ({said})"
         elif clock and clock.unit == time.unit and one.values is not None:
             one.clock = clock.column
             one.said = f"{one.said}; times in {clock.column}"

@@ -62,8 +62,9 @@ def tables_of(path: Path) -> dict[str, Any]:
         place = LINE_OF_ERROR.search(str(error))
         at = place and text.splitlines()[int(place[1]) - 1].strip()
         said = (
-            f"this is not TOML: {error}{f': {shown(at)}' if at else ''}. Texts stand "
-            "in quotes, decimals have a point, a section is [name], a key stands once."
+            f"this is not TOML: {error}{f': {shown(at)}' if at else ''}. Put text "
+            "in quotes, use a decimal point, write sections as [name], and use each "
+            "key once."
         )
     except OSError as error:
         said = f"it cannot be read: {why_not_read(error)}."
