@@ -1,4 +1,4 @@
-"""A value that is worked out when it is first asked for."""
+"""A value that is worked out when it is asked for."""
 
 from collections.abc import Callable
 from typing import Generic, TypeVar
@@ -35,3 +35,18 @@ class Later(Generic[T]):
     def __reduce__(self) -> "tuple[Callable[[T], Later[T]], tuple[T]]":
         """Copies and files hold the value, not the work."""
         return Later.known, (self.value,)
+
+
+class Remade(Generic[T]):
+    """What is made anew each time it is asked for, as whoever has it may change it.
+
+    Args:
+        work: makes it; None: it cannot be made. Copies in other processes and files
+            hold no work.
+    """
+
+    def __init__(self, work: Callable[[], T] | None = None) -> None:
+        self.work = work
+
+    def __reduce__(self) -> "tuple[type[Remade[T]], tuple[()]]":
+        return type(self), ()

@@ -3,6 +3,7 @@ faster steps; what is refused, and how an end is told.
 """
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -286,3 +287,63 @@ def test_a_place_without_a_number_has_none_and_leaves_the_others() -> None:
     values, _ = in_numbers(function, a, np.array([[1.0, 1.0, 0.0]]))
     assert np.isfinite(values[0]).tolist() == [True, False, False]
     assert values[1, 0] == 1.0
+
+
+# ---- the program of a fit
+
+NOISE = {"q": 0.001, "p": 0.002}
+
+
+def spring_fit(loss: ph.PHSILoss | ph.MaximumLikelihood, **options: Any) -> ph.Fit:
+    """A spring with unknown stiffness and damping, fitted to its own motion."""
+    t = np.linspace(0.0, 4.0, 81)
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H="k*q**2/2 + p**2/2", R={"p": "c"}
+    )
+    x = ph.simulate(model.with_values({"k": 9.0, "c": 0.3}), t, [1.0, 0.5])
+    y = x + 0.001 * np.random.default_rng(0).normal(size=x.shape)
+    data = ph.Measurements.from_arrays(t, y, states=["q", "p"])
+    return ph.identify(model, data, loss, **options)
+
+
+def theta_of(program: Program) -> np.ndarray:
+    """Its parameters, by IPOPT as a user calls it."""
+    options: Any = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
+    solver = ca.nlpsol("solver", "ipopt", program.nlp, options)
+    z = np.array(solver(**program.arguments)["x"]).ravel()
+    return program.values(z)["theta"]
+
+
+@pytest.mark.parametrize(("loss", "options"), [
+    (ph.PHSILoss(), {}),
+    (ph.PHSILoss(), {"l1": {"R": 0.1}}),
+    (ph.MaximumLikelihood(NOISE), {}),
+    (ph.MaximumLikelihood(NOISE), {"settings": ph.SolverSettings(solver="ipopt")}),
+    (ph.MaximumLikelihood(NOISE, huber=1.345), {}),
+])  # fmt: skip
+def test_the_program_of_a_fit_has_its_optimum(loss: Any, options: Any) -> None:
+    fit = spring_fit(loss, **options)
+    # Both solvers end within 1e-8 of the scaled optimality conditions.
+    expected = list(fit.estimates.values())
+    assert theta_of(fit.program) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_program_of_a_fit_can_be_changed_and_the_fit_stays() -> None:
+    fit = spring_fit(ph.PHSILoss())
+    program = fit.program
+    k = program.column("theta")[fit.names.index("k")]
+    program.constrain("k", (8.0 - k) / 8.0, np.inf)  # k <= 8
+    assert theta_of(program)[fit.names.index("k")] == pytest.approx(8.0, rel=1e-6)
+    assert "k" not in fit.program.constraints
+    with pytest.raises(ph.ModelError, match=r"'thet' is not .* Did you mean 'theta'"):
+        program.column("thet")
+
+
+def test_a_fit_without_a_single_program_says_so(tmp_path: Path) -> None:
+    fit = spring_fit(ph.MaximumLikelihood(model_error=True))
+    with pytest.raises(ph.DataError, match=r"has no program: .* model_error=True"):
+        _ = fit.program
+    saved = tmp_path / "fit.json"
+    spring_fit(ph.PHSILoss()).save(saved)
+    with pytest.raises(ph.DataError, match="loaded from a file"):
+        _ = ph.Fit.load(saved).program

@@ -27,7 +27,7 @@ from phsi_opt.estimation.fit_file import (
     read_json,
 )
 from phsi_opt.estimation.identified import DIGITS, Identified
-from phsi_opt.later import Later
+from phsi_opt.later import Later, Remade
 from phsi_opt.model.directions import factors_of
 from phsi_opt.model.laws import parameter_words
 from phsi_opt.model.model import Model
@@ -38,6 +38,7 @@ from phsi_opt.model.terms import Term
 from phsi_opt.model_error.disturbances import Process
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.ipopt import Outcome
+from phsi_opt.optimization.program import Program
 from phsi_opt.presentation.numbers import estimate_text
 from phsi_opt.presentation.sentences import lines
 from phsi_opt.presentation.summary import (
@@ -126,6 +127,7 @@ class Fit(Identified, Summarised):
     - Simulation: ``simulate(t, x0, u)``; ``model`` is the fitted model,
       ``model_of(trajectory)`` that of one trajectory.
     - Forms: ``print(fit)``, ``plot()``, ``save(path)`` and ``Fit.load(path)``.
+    - For others: ``program`` is the nonlinear program.
     - Reliability: ``outcome`` says how the solver ended; read ``warnings`` before you
       use the numbers.
 
@@ -161,6 +163,7 @@ class Fit(Identified, Summarised):
         has_model_error: Whether a random force was part of the likelihood
             (``model_error=True``).
         doubts: What ``caution`` says, worked out when it is first asked for.
+        remade_program: Makes ``program``.
     """
 
     names: tuple[str, ...] = ()
@@ -179,6 +182,7 @@ class Fit(Identified, Summarised):
     huber: float | None = None
     has_model_error: bool = False
     doubts: Later[str] = field(default_factory=partial(Later.known, ""))
+    remade_program: Remade[Program] = field(default_factory=Remade)
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -474,6 +478,36 @@ class Fit(Identified, Summarised):
                 f"fit; known are {known}."
             )
         return simulate(self.model_of(trajectory), t, x0, u, hold=self.hold)
+
+    @property
+    def program(self) -> Program:
+        """The nonlinear program of the fit in CasADi's symbols, made anew.
+
+        Variables, objective, constraints, bounds and a start, to be changed and solved
+        by any solver of CasADi. A likelihood has the noise of the fit as its setting
+        ``p``. Its optimum is that of the fit; where the noise was estimated, to a
+        hundredth of a standard error.
+
+        Raises:
+            DataError: The fit was loaded, comes from another process, or has
+                ``model_error=True``.
+
+        Examples:
+            >>> import casadi
+            >>> program = fit.program
+            >>> quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
+            >>> solver = casadi.nlpsol("solver", "ipopt", program.nlp, quiet)
+            >>> z = np.array(solver(**program.arguments)["x"]).ravel()
+            >>> np.allclose(program.values(z)["theta"], list(fit.estimates.values()))
+            True
+        """
+        if self.remade_program.work is None:
+            raise DataError(
+                "this fit has no program: it was loaded from a file, comes from "
+                "another process, or has model_error=True, which is no single program. "
+                "Fit the model here: identify(fit.model, data)."
+            )
+        return self.remade_program.work()
 
     # ---- as file, picture and text ---------------------------------------------------
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from phsi_opt.data.checks import Hold
 from phsi_opt.errors import DataError, PhsiOptError
-from phsi_opt.later import Later
+from phsi_opt.later import Later, Remade
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Scan, Share, Tried
 from phsi_opt.model.slots import BY_EQUATION
@@ -63,7 +63,9 @@ def encoded(value: Any) -> Any:
     if isinstance(value, Scan | Share | Tried):
         return [type(value).__name__, *vars(value).values()]
     if is_dataclass(value):
-        return {one.name: encoded(getattr(value, one.name)) for one in fields(value)}
+        known = {one.name: getattr(value, one.name) for one in fields(value)}
+        kept = {k: one for k, one in known.items() if not isinstance(one, Remade)}
+        return encoded(kept)
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -113,6 +115,7 @@ def decoded(kind: Any, value: Any) -> Any:
         return tuple(decoded(args[0], one) for one in value)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
+        hints = {k: one for k, one in hints.items() if get_origin(one) is not Remade}
         check_keys(value, hints)
         return kind(**{name: decoded(hints[name], v) for name, v in value.items()})
     if kind is str and isinstance(value, Mapping):

@@ -25,6 +25,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_steps import solution_of_steps
 from phsi_opt.estimation.noise_estimation import LEAST_COUNTED, NoiseLevels
 from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
+from phsi_opt.later import Remade
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.ascent import SETTLED_EVIDENCE
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
@@ -45,6 +46,7 @@ from phsi_opt.model_error.standard_errors import (
     under_disturbances,
 )
 from phsi_opt.optimization.bounded_step import regularized_inverse
+from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.defects import parameter_slopes
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
@@ -244,7 +246,15 @@ class LikelihoodEstimate(Estimate):
             states=self.states,
             steps=tuple(steps_per_gap(self.grid)),
             huber=self.loss.huber,
+            remade_program=self._remade_program,
         )
+
+    @property
+    def _remade_program(self) -> Remade[Program]:
+        # Of the likelihood what it is made of, without the places of all its entries.
+        _, made_of = self.likelihood.__reduce__()
+        loss, l1, sigma = self.loss, self.l1, self.sigma
+        return Remade(lambda: loss.program(LikelihoodValues(*made_of), l1, sigma))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

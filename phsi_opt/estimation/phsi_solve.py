@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from typing import TypeVar
 
@@ -18,6 +19,7 @@ from phsi_opt.initialization.starting_values import (
     imitators,
     starting_values,
 )
+from phsi_opt.later import Remade
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solver
 from phsi_opt.statistics import TINY
@@ -59,6 +61,12 @@ class PHSIEstimate(Estimate):
             self.theta,
             self.point.theta_scale,
             self.solution.outcome.at_bounds,
+        )
+
+    def fit(self) -> Fit:
+        of_start = (self.model, self.grid, self.point, self.l1)
+        return replace(
+            super().fit(), remade_program=Remade(partial(self.loss.program, *of_start))
         )
 
     @property

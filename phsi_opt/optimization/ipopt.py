@@ -214,8 +214,6 @@ class Solver:
         self.program = program
         self.limits = settings or SolverSettings()
         self.is_exact = exact
-        problem: dict[str, Any] = {"x": program.z, "p": program.settings}
-        problem |= {"f": program.objective, "g": program.g}
         self._listener = _Listener(program)
         options: dict[str, Any] = {
             "no_nlp_grad": True,
@@ -229,7 +227,7 @@ class Solver:
             "ipopt": _ipopt_options(self.limits),
             "iteration_callback": self._listener,
         }
-        self._ipopt = ca.nlpsol("program", "ipopt", problem, options)
+        self._ipopt = ca.nlpsol("program", "ipopt", program.nlp, options)
         self._residual = ca.Function(
             "residual", [program.z, program.settings], [program.residual]
         )
@@ -248,18 +246,12 @@ class Solver:
         """
         program = self.program
         set_to = program.set_to if set_to is None else set_to
-        lower, upper = program.bounds
-        g_lower, g_upper = program.g_bounds
+        given = program.arguments | {"p": set_to}
+        if start is not None:
+            given["x0"] = start
         began = time.perf_counter()
         with solving():
-            result = self._ipopt(
-                x0=program.start if start is None else start,
-                p=set_to,
-                lbx=lower,
-                ubx=upper,
-                lbg=g_lower,
-                ubg=g_upper,
-            )
+            result = self._ipopt(**given)
         seconds = time.perf_counter() - began
         outcome = self._outcome(self._ipopt.stats(), result, seconds)
         return self.solution(np.array(result["x"]).ravel(), set_to, outcome)

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from phsi_opt.errors import ModelError
+from phsi_opt.arguments import require_known
+from phsi_opt.errors import ModelError, shown
 
 Label = Callable[[int], str]
 
@@ -156,7 +157,34 @@ class Program:
 
     @property
     def objective(self) -> ca.MX:
+        """1/2 sum residual^2 + cost, a number."""
         return ca.sumsqr(self.residual) / 2 + self.cost
+
+    @property
+    def nlp(self) -> dict[str, ca.MX]:
+        """The problem as `casadi.nlpsol` takes it: x, p, f and g."""
+        parts = {"x": self.z, "p": self.settings}
+        return parts | {"f": self.objective, "g": self.g}
+
+    @property
+    def arguments(self) -> dict[str, np.ndarray]:
+        """Start, settings and bounds, as the solver that `nlpsol` makes takes them."""
+        lower, upper = self.bounds
+        g_lower, g_upper = self.g_bounds
+        found = {"x0": self.start, "p": self.set_to, "lbx": lower, "ubx": upper}
+        return found | {"lbg": g_lower, "ubg": g_upper}
+
+    def column(self, name: str) -> ca.MX:
+        """The unscaled symbols of a block of variables, a column.
+
+        Raises:
+            ModelError: there is no such block.
+        """
+        require_known(
+            name, self.variables, f"block {shown(name)} is not in the program"
+        )
+        place = self.variables[name].slice
+        return self.z[place] * ca.DM(self.scale[place])
 
     def jacobian(self) -> ca.Function:
         """Function (z, settings) -> g and its Jacobian."""
