@@ -24,6 +24,7 @@ from phsi_opt.estimation.fit import Fit as Fit
 from phsi_opt.estimation.identify import identify as identify
 from phsi_opt.model.catalogue import catalogue as catalogue
 from phsi_opt.model.effect import Effect as Effect
+from phsi_opt.model.from_sympy import from_sympy as from_sympy
 from phsi_opt.model.mechanics import mechanical as mechanical
 from phsi_opt.model.model import FirstOrder as FirstOrder
 from phsi_opt.model.model import Model as Model

@@ -6,7 +6,7 @@ H, what brakes into R, and the rest into F. SymPy integrates and differentiates.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from phsi_opt.arguments import typed
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.errors import ModelError
+from phsi_opt.model.base import BaseModel
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS, evaluate, names_of, parse
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
@@ -110,8 +111,35 @@ def mechanical(
         if one.isidentifier():
             known.setdefault(one, Parameter(1.0, lower=0.0))
         masses.append(one if one.isidentifier() else f"({one})")
-    efforts = dict(zip(velocities, variables.efforts[len(positions) :], strict=True))
-    losses, potentials, forces_left = _sums_of(laws, positions, efforts, (*inputs, "t"))
+    kinetic = list(map("{}**2/(2*{})".format, momenta, masses))
+    return energy_model(variables, velocities, kinetic, laws, known)
+
+
+def energy_model(
+    variables: Variables,
+    velocities: Sequence[str],
+    energies: Sequence[str],
+    laws: Sequence[str],
+    known: dict[str, Parameter],
+) -> PseudoHamiltonian:
+    """The model of an energy and of forces, each term where its physics belongs.
+
+    Args:
+        variables: states, which are positions and then their momenta, and inputs.
+        velocities: names of dH/dp in the forces, one of each position.
+        energies: terms of H as formulas.
+        laws: a force on each momentum, as formulas.
+        known: parameters by name; those that it lacks are free.
+
+    Raises:
+        ModelError: a formula cannot be read, or a parameter is in none of them.
+    """
+    n = len(velocities)
+    positions = variables.states[:n]
+    momenta = variables.states[n:]
+    efforts = dict(zip(velocities, variables.efforts[n:], strict=True))
+    others = (*variables.inputs, "t")
+    losses, potentials, forces_left = _sums_of(laws, positions, efforts, others)
 
     def by_momentum(slot: str, sums: "list[sp.Expr]") -> dict[str, Dictionary]:
         found = {}
@@ -122,20 +150,28 @@ def mechanical(
 
     R = by_momentum("R", losses)
     H = Dictionary()
-    energies = map("{}**2/(2*{})".format, momenta, masses)
     for energy in (*energies, *map(_text, filter(None, potentials))):
         H += variables.formula(energy, "H", "", known)
     F = by_momentum("F", forces_left)
-    S = canonical(len(positions))
+    inputs = variables.inputs
     model = PseudoHamiltonian(
-        states=variables.states, inputs=inputs, S=S, H=H, R=R, F=F
+        states=variables.states, inputs=inputs, S=canonical(n), H=H, R=R, F=F
     )
-    for name in sorted(known.keys() - model.entries.keys()):
+    require_used(known, model)
+    return model
+
+
+def require_used(names: Iterable[str], model: BaseModel) -> None:
+    """Check that the parameters that were given are in a formula of the model.
+
+    Raises:
+        ModelError: one is in none of them.
+    """
+    for name in sorted(set(names) - model.entries.keys()):
         raise ModelError(
             f"parameter {name!r} is in none of the formulas; they have "
             f"{', '.join(model.entries)}. Correct the name, or remove it."
         )
-    return model
 
 
 def _one_each(given: Any, what: str, positions: Sequence[str]) -> list[Any]:

@@ -28,6 +28,8 @@ class _FormulaPrinter(StrPrinter):
         match expression:
             case sp.Float() if expression._prec >= sp.Float(1.0)._prec:
                 return repr(float(expression))
+            case sp.NumberSymbol() if expression is not sp.pi:
+                return repr(float(expression))
             case sp.Max() | sp.Min():  # a formula's maximum is of two
                 name = type(expression).__name__.lower()
                 parts = map(self._print, expression.args)

@@ -19,6 +19,7 @@ from typing import Any, Union, get_args, get_origin
 
 import numpy as np
 import pandas as pd  # noqa: F401  # of OTHERS
+import sympy as sp
 from hypothesis import strategies as st
 
 import phsi_opt as ph
@@ -184,6 +185,7 @@ def usual() -> Arguments:
         **{"level": 0.9, "l1": {"H": 0.1}, "share": 0.4, "column": "t"},
         **{"DataSection.states": columns, "Fit.content.states": True},
         **{"added": ["coulomb friction"]},
+        **{"from_sympy.system": [sp.Symbol("p"), -sp.Symbol("k") * sp.Symbol("q")]},
         **{"StudyFile.of.data": ph.DataSection(states=columns, **section)},
         **{"StudyFile.of.held_out": ph.HeldOut(share=0.4), "max_iterations": 5},
         **{"StudyFile.of.loss": None, "StudyFile.of.folder": ".", "what": "x"},
