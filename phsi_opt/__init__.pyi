@@ -21,6 +21,8 @@ from phsi_opt.errors import SolveError as SolveError
 from phsi_opt.errors import StudyFileError as StudyFileError
 from phsi_opt.estimation.estimate import Pruning as Pruning
 from phsi_opt.estimation.fit import Fit as Fit
+from phsi_opt.estimation.identifiability import Identifiability as Identifiability
+from phsi_opt.estimation.identifiability import identifiability as identifiability
 from phsi_opt.estimation.identify import identify as identify
 from phsi_opt.model.catalogue import catalogue as catalogue
 from phsi_opt.model.effect import Effect as Effect

@@ -398,6 +398,15 @@ def test_check_says_what_a_study_file_holds(demo: Path) -> None:
     assert content["noticed"][2]["noise"] is None
 
 
+def test_check_says_what_no_record_can_tell(demo: Path) -> None:
+    assert json.loads(said("check", demo, "--json").out)["warnings"] == []
+    text = demo.read_text().replace("m = 2.5  # kg, weighed: known", "m = {}")
+    demo.write_text(text)
+    told = " ".join(said("check", demo).out.split())
+    assert "no record can distinguish k, m, c: only" in told
+    assert "a sensor of p makes all identifiable" in told
+
+
 def test_init_and_check_draw_the_data_once_and_replace_no_other_picture(demo) -> None:
     picture = demo.with_name("study_data.svg")
     said("check", demo, "--json")

@@ -17,6 +17,7 @@ from typing import Any
 from phsi_opt.command_line.job import Answer, answer_to
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
+from phsi_opt.estimation.identifiability import cautions
 from phsi_opt.initialization.relative_guesses import fast_motion
 from phsi_opt.model.catalogue import catalogue, effects_told
 from phsi_opt.model.laws import law_of, laws_told
@@ -149,6 +150,7 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
     model = file.model()
     aligned = AlignedData.of(model, train)
     caution = fast_motion(model, aligned.grid, train.units)
+    notes = [*aligned.notes, *cautions(model, train)]
     data = file.measurements()
     content = {
         "states": list(model.states),
@@ -159,7 +161,7 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
         "n_runs": data.n_trajectories,
         "n_samples": data.n_samples,
         "n_held_out": 0 if held_out is None else held_out.n_samples,
-        "warnings": [*filter(None, (caution,)), *aligned.notes],
+        "warnings": [*filter(None, (caution,)), *notes],
     }
     text = lines(
         __package__,
@@ -173,7 +175,7 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
         content=content,
         kind=type(model).__name__,
         n_effects=len(catalogue(model, train.units)),
-        notes=aligned.notes,
+        notes=notes,
     )
     return Answer(f"{caution}\n{text}".lstrip(), content | shown)
 

@@ -139,7 +139,7 @@ class LikelihoodProblem:
         None where it leads nowhere. Outliers count in full on the way, and L1 for
         nothing.
         """
-        values = self._values(start)
+        values = self.values_at(start)
         z = continued(values, start.sigma, sizes)
         if z is None:
             return None
@@ -175,7 +175,7 @@ class LikelihoodProblem:
         After ``most_steps`` full steps IPOPT is not tried; None: as many as it takes.
         """
         l1 = self.task.l1 if l1 is None else l1
-        values = self._values(start)
+        values = self.values_at(start)
         noise = NoiseIteration(
             grid=values.grid,
             levels=self.noise,
@@ -201,7 +201,7 @@ class LikelihoodProblem:
                     break
                 x = found["x"].reshape(values.grid.y.shape)[values.grid.sample]
                 there = replace(start, theta=found["theta"])
-                values = self._values(replace(there, states=self.task.grid.split(x)))
+                values = self.values_at(replace(there, states=self.task.grid.split(x)))
                 program = self.loss.program(values, l1, start.sigma)
                 optimum = by_ipopt(program, settings, noise, start.sigma, None)
         self.task.say(
@@ -222,7 +222,7 @@ class LikelihoodProblem:
             levels=self.noise,
         )
 
-    def _values(self, start: StartingPoint) -> LikelihoodValues:
+    def values_at(self, start: StartingPoint) -> LikelihoodValues:
         """The likelihood laid out, its point at the start."""
         model = start.model
         grid = self.task.aligned.grid_with(self._steps(start))

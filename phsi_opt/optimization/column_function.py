@@ -57,7 +57,7 @@ for _pair in NAMES_OF_TESTS.split(","):
 Instruction = tuple[int, Any, list[int], list[int], Any]
 
 
-def _instructions(
+def instructions_of(
     function: ca.Function,
     operation_of: Callable[[int, int], Any],
     number: Callable[[float], Any],
@@ -77,7 +77,7 @@ def _instructions(
     return listed
 
 
-def _carried_out(
+def carried_out(
     instructions: list[Instruction], arguments: Sequence[Any]
 ) -> Iterator[tuple[int, int, Any]]:
     """Number, entry and value of each result, from the entries of each argument."""
@@ -104,7 +104,7 @@ def _with_numpy(function: ca.Function) -> list[Instruction]:
         arguments.append(ca.SX.sym(function.name_in(i), function.sparsity_in(i)))
     results = ca.cse(function.call(arguments))
     once = ca.Function("columns", arguments, results)
-    return _instructions(
+    return instructions_of(
         once, lambda kind, _: OPERATIONS.get(kind), partial(np.full, 1)
     )
 
@@ -126,7 +126,7 @@ def in_numbers(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray
             for argument in arguments:
                 is_shared = argument.ndim == 1
                 parts.append(argument[:, None] if is_shared else argument[:, place])
-            for number, entry, value in _carried_out(instructions, parts):
+            for number, entry, value in carried_out(instructions, parts):
                 results[number][entry, place] = value
     return results
 
@@ -153,8 +153,8 @@ def in_columns(
     symbols = [list(map(ca.MX, entries)) for entries in arguments]
     zeros = ca.MX.zeros(n)  # beside which a number is a column too
     results = [[zeros] * function.nnz_out(i) for i in range(function.n_out())]
-    instructions = _instructions(function, _operation_on_symbols, ca.MX)
-    for number, entry, value in _carried_out(instructions, symbols):
+    instructions = instructions_of(function, _operation_on_symbols, ca.MX)
+    for number, entry, value in carried_out(instructions, symbols):
         results[number][entry] = zeros + value
     return [ca.horzcat(ca.MX(n, 0), *entries) for entries in results]
 

@@ -22,6 +22,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import BRIEF, thorough_fit
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identifiability import cautions
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import EffectChoice, Given, effect_named
 from phsi_opt.model.effect import Effect
@@ -107,6 +108,8 @@ class Study(Summarised):
         for note in self.record.notes:
             self._say(note)
         if fit is None:
+            for caution in cautions(model, train):
+                self._say(caution)
             self._say("fitting the base model")
             fit = self.record.fitted_base()
         self._check_data(fit)
