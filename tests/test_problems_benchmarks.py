@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import phsi_opt as ph
-from problems.benchmarks import coverage, identify
+from problems.benchmarks import coverage, identifiability, identify
 from problems.benchmarks.coverage import SCENARIOS
 from problems.benchmarks.efficiency.cases import CASES, duffing
 from problems.benchmarks.efficiency.cramer_rao import TrueSystem, covariance_bound
@@ -114,3 +114,9 @@ def test_every_peer_finds_the_motion_of_an_easy_start() -> None:
     found = {name: value for name, value in row.items() if name.endswith("found")}
     assert {"identify found", "CasADi found", "SciPy found"} <= set(found)
     assert all(found.values())
+
+
+def test_fits_that_hold_a_parameter_agree_with_the_verdict_on_a_random_model() -> None:
+    row = identifiability.judged(60_042)
+    assert (row["parameters"], row["not identifiable"]) == (4, 3)
+    assert not row["wrong"] and not row["unseen"]
