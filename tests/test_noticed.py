@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 import phsi_opt as ph
 from phsi_opt.data.noticed import NOT_HELD, lone_peaks
-from phsi_opt.presentation.charts import Chart, Curve
+from phsi_opt.presentation.charts import Chart, Curve, draw
 
 T = 0.01 * np.arange(2000)
 RNG = np.random.default_rng(0)
@@ -214,6 +214,28 @@ def test_runs_stand_one_after_another_on_one_scale_of_time() -> None:
     assert np.ptp(first) == pytest.approx(2 * np.ptp(second), rel=0.01)
     assert -0.5 < first[0] < first[-1] < 0.5 < second[0] < second[-1] < 1.5
     assert chart.x_label == "runs one after another, up to 9.99 s long"
+
+
+def test_what_is_held_out_is_marked_with_its_times() -> None:
+    train, held_out = data_of(NOISY, T).split(0.7)
+    chart = train.chart(held_out)
+    assert (chart.x_label, chart.ticks) == ("t (s)", ())  # one clock, one axis
+    (line,) = chart.panels[0].curves
+    assert np.nanmax(line.x) == T[-1]
+    fitted, judging = chart.spans
+    assert (fitted.shade, judging.shade) == ("", "held out: not used for fitting")
+    ends = held_out.trajectories[0].t[[0, -1]]
+    assert [judging.low, judging.high] == pytest.approx(ends)
+    runs: Any = ([T[:500], T[:500] + 3], [NOISY[:500], NOISY[500:1000]])
+    both = data_of(runs[1], runs[0])
+    chart = both[:1].chart(final=both[1:])
+    assert chart.ticks == (["run 1", "0 to 4.99 s"], ["run 2", "3 to 7.99 s"])
+    assert [one.shade for one in chart.spans] == ["", "for the final test"]
+    assert [(one.begin, one.end) for one in chart.spans] == [(0.0, 4.99), (3.0, 7.99)]
+    drawn_on = Figure().add_subplot()
+    draw(drawn_on, chart)
+    names = [one.get_text() for one in drawn_on.get_legend().get_texts()]
+    assert "for the final test" in names
 
 
 def test_gaps_limits_and_outliers_are_marked_where_they_are() -> None:

@@ -1,6 +1,6 @@
 """Measurements as a chart: a panel for each channel, the runs one after another."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from os.path import commonprefix
 from textwrap import wrap
@@ -12,29 +12,41 @@ from phsi_opt.presentation.charts import (
     ATTENTION,
     FORCE,
     FREE,
+    MEASURED,
     MODEL,
     POINTS,
     RINGS,
     Chart,
     Curve,
     Panel,
+    Span,
     time_label,
 )
 from phsi_opt.presentation.content import thinned
 from phsi_opt.presentation.numbers import label, number_of
-from phsi_opt.presentation.units import scale_of_time, time_words
+from phsi_opt.presentation.units import scale_of_time, time_words, times_words
+
+TRAINING = ("", "")  # the ground of data that are fitted has no name and no colour
+HELD_OUT = ("held out: not used for fitting", MEASURED)
+FINAL = ("for the final test", ATTENTION)
+Ground = tuple[str, str]
 
 
-def data_chart(look: DataLook) -> Chart:
+def data_chart(look: DataLook, grounds: Sequence[Ground] = ()) -> Chart:
     """Every measured channel over time, states first.
 
-    Several runs stand one after another, in cells of one scale of time. A dotted line
-    is a gap, rings are around single samples far from both neighbours, and orange
-    points are samples at a limit of the sensor.
+    Parts of one record have one axis of time. Several runs stand one after another, in
+    cells of one scale of time. A dotted line is a gap, rings are around single samples
+    far from both neighbours, and orange points are samples at a limit of the sensor.
+
+    Args:
+        look: the measurements.
+        grounds: of each run, `TRAINING`, `HELD_OUT` or `FINAL`; (): all are fitted.
     """
     channels = [one for one in look.channels if len(one.known)]
     height = 0.8 if len(channels) == 1 else 0.55
     x, x_label, ticks = _axis(look)
+    spans, time = _spans(look, x, grounds or [TRAINING] * len(look.trajectories))
     told: set[str] = set()  # names that the legend has
     panels = []
     for one in channels:
@@ -45,7 +57,21 @@ def data_chart(look: DataLook) -> Chart:
         name = label(f"{one.name}, input" if one.hold else one.name, one.unit)
         panels.append(Panel(name, curves, height=height, scale=FREE))
     n_runs = number_of(len(look.trajectories), "trajectory", "trajectories")
-    return Chart(x_label, tuple(panels), f"{n_runs}, {len(look.t)} samples", ticks)
+    title = f"{n_runs}, {len(look.t)} samples"
+    return Chart(x_label, tuple(panels), title, ticks, spans=spans, time=time)
+
+
+def _spans(
+    look: DataLook, x: np.ndarray, grounds: Sequence[Ground]
+) -> tuple[tuple[Span, ...], str]:
+    """Where each run stands, with its times, and the label of these."""
+    scale = scale_of_time(float(np.abs(look.t).max()), look.units["t"])
+    spans = []
+    for k, (run, ground) in enumerate(zip(look.trajectories, grounds, strict=True)):
+        ends = x[look.run == k][[0, -1]].tolist()
+        times = (run.t[[0, -1]] / scale.size).tolist()
+        spans.append(Span(run.name, *ends, *times, *ground))
+    return tuple(spans), label("t", scale.unit)
 
 
 def _axis(
@@ -61,13 +87,19 @@ def _axis(
     lengths = np.array([run.t[-1] - run.t[0] for run in runs])
     longest = float(lengths.max())
     unit = look.units["t"]
-    if len(runs) == 1:
-        scale = scale_of_time(longest, unit)
+    order = np.argsort(begins)
+    waits = begins[order[1:]] - (begins + lengths)[order[:-1]]
+    has_one_clock = len({run.origin for run in runs}) == 1
+    if has_one_clock and np.all(waits >= 0) and waits.sum() < lengths.sum() / 2:
+        scale = scale_of_time(float(np.abs(look.t).max()), unit)
         return look.t / scale.size, time_label(scale.unit, runs[0].origin), ()
     cells = np.arange(len(runs)) - width * lengths / longest / 2
     x = cells[look.run] + width * (look.t - begins[look.run]) / longest
     each = "each" if np.ptp(lengths) < 0.01 * longest else "up to"
     x_label = f"runs one after another, {each} {time_words(longest, unit)} long"
+    if np.ptp(begins) == 0 and each == "each":
+        within = times_words(begins[0], begins[0] + longest, unit)
+        x_label = f"runs one after another, each from {within}"
     if len(runs) > 200:
         return x + 1, f"number of the run; {x_label}", ()
     every = -(-len(runs) // most_names)
@@ -77,8 +109,14 @@ def _axis(
         begin = commonprefix(names)  # noqa: RUF071 -- these are no paths
         names = [name.removeprefix(begin) for name in names]
     shown = [name if k % every == 0 else "" for k, name in enumerate(names)]
-    ticks = tuple(wrap(name, room, break_long_words=False)[:4] for name in shown)
-    return x, x_label, ticks
+    ticks = []
+    for run, name in zip(runs, shown, strict=True):
+        lines = wrap(name, room, break_long_words=False)[:4]
+        if np.ptp(begins) > 0 and every == 1:
+            within = times_words(run.t[0], run.t[-1], unit)
+            lines += wrap(within, room, break_long_words=False)
+        ticks.append(lines)
+    return x, x_label, tuple(ticks)
 
 
 def _line(look: DataLook, one: ChannelLook, x: np.ndarray) -> Curve:

@@ -443,11 +443,26 @@ class Measurements(TableReaders, Summarised):
         table["noise"] = given.fillna(table["noise"]).astype(float)
         return table
 
-    def chart(self) -> "Chart":
-        """Every measured channel over time, as page and report draw it."""
-        from phsi_opt.data.data_chart import data_chart
+    def chart(
+        self,
+        held_out: "Measurements | None" = None,
+        final: "Measurements | None" = None,
+    ) -> "Chart":
+        """Every measured channel over time, as page and report draw it.
 
-        return data_chart(self.look)
+        Args:
+            held_out: Further runs, on the ground of data that are not fitted.
+            final: Further runs, on that of data for the final test.
+        """
+        from phsi_opt.data.data_chart import FINAL, HELD_OUT, TRAINING, data_chart
+
+        runs = list(self.look.trajectories)
+        grounds = [TRAINING] * len(runs)
+        for data, ground in ((held_out, HELD_OUT), (final, FINAL)):
+            further = () if data is None else data.look.trajectories
+            runs += further
+            grounds += [ground] * len(further)
+        return data_chart(replace(self.look, trajectories=tuple(runs)), grounds)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Every measured channel over time, states first, the runs one after another.

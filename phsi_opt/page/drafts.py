@@ -487,10 +487,12 @@ def checked(
         known: the key of the measurements that are seen; None is returned for these.
     """
     measured = None
+    parts = None
     complaints: tuple[Complaint, ...] = ()
     try:
         file = StudyFile.read(path, places)
         measured = file.measurements()
+        parts = file.parts()
         file.check_formulas()
     except StudyFileError as error:
         complaints = error.complaints
@@ -499,10 +501,13 @@ def checked(
         complaints = (Complaint("model", "", str(error)),)
     if measured is None:
         return complaints, Seen() if known else None
-    key = repr((measured.digest, dict(measured.units), measured.hold))
+    train, held_out, final = parts or (measured, None, None)
+    digests = [one.digest for one in (train, held_out, final) if one is not None]
+    key = repr((digests, dict(measured.units), measured.hold))
     if key == known:
         return complaints, None
-    return complaints, Seen(key, measured.chart(), tuple(measured.look.rows()))
+    chart = train.chart(held_out, final)
+    return complaints, Seen(key, chart, tuple(measured.look.rows()))
 
 
 def fitted_file(

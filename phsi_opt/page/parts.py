@@ -64,8 +64,8 @@ LABELS = {
     "model.F.*": "force F on {name}",
     "parameters.*": "parameter {name}",
     "parameters.*.value": "known value of {name}",
-    "parameters.*.lower": "least {name}",
-    "parameters.*.upper": "largest {name}",
+    "parameters.*.lower": "lower bound of {name}",
+    "parameters.*.upper": "upper bound of {name}",
 }
 OPTION_LABELS = {"zero": "constant until the next", "cubic": "smooth"}
 # How the text of a field is written in a study file, by the form of its key.

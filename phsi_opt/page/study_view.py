@@ -160,7 +160,11 @@ class StudyView:
             is_good = content.headline.status == "nothing missing"
             heading("What was missing" if is_good else "What is missing")
             self.follows()
-            self.force()
+            if is_good:
+                with ui.expansion("What is left, though nothing is missing"):
+                    self.force()
+            else:
+                self.force()
 
         def show(run: int, t: float) -> None:
             runs.set_value(run)
@@ -337,7 +341,7 @@ class StudyView:
 
     def _exports(self) -> None:
         with card().classes("last"):
-            heading("Take it away")
+            heading("Export")
             with ui.row():
                 self._begins("Report", self._report, False)
                 made = self._session.study_file

@@ -79,6 +79,19 @@ FREE = "free"
 Mark = tuple[float, str]  # a time, with what it is called
 
 
+@dataclass(frozen=True)
+class Span:
+    """A run where it stands on the first axis, with its times."""
+
+    name: str
+    low: float  # where it begins on the axis
+    high: float
+    begin: float  # its first time
+    end: float
+    shade: str = ""  # what its ground is called in the legend; "": it has none
+    color: str = ""  # of the ground
+
+
 @dataclass(frozen=True, eq=False)
 class Curve:
     """A curve of (n,) points."""
@@ -120,6 +133,8 @@ class Chart:
     # Lines of text on the first axis, in place of numbers.
     ticks: tuple[list[str], ...] = ()
     mark: Mark | None = None  # a place on it
+    spans: tuple[Span, ...] = ()  # runs that share it
+    time: str = ""  # the label of their times
 
 
 # ---- what is drawn -------------------------------------------------------------------
@@ -264,11 +279,11 @@ def figure(value: Any) -> Any:
 
 
 def rounded(curve: np.ndarray) -> list[float | None]:
-    """Values (n,) with as many digits of their range as can be seen; None for NaN."""
+    """Values (n,) with seven digits of their range, to be saved too; None for NaN."""
     known = curve[np.isfinite(curve)]
     extent = float(np.ptp(known)) if len(known) else 0.0
     size = extent or (abs(float(known[0])) if len(known) else 1.0) or 1.0
-    n_decimals = 4 - math.floor(math.log10(size))
+    n_decimals = 6 - math.floor(math.log10(size))
     values = curve.tolist()
     return [round(one, n_decimals) if math.isfinite(one) else None for one in values]
 
@@ -346,6 +361,12 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
     panel = chart.panels[place]
     for curve in panel.curves:
         _draw_curve(ax, curve)
+    shaded = set()
+    for span in chart.spans:
+        if span.shade:
+            ground = ax.axvspan(span.low, span.high, color=span.color, alpha=0.2, lw=0)
+            ground.set_label(span.shade if span.shade not in shaded else "")
+            shaded.add(span.shade)
     if panel.noise is not None:
         band = ax.axhspan(-panel.noise, panel.noise, color=FLOOR, alpha=0.2, lw=0)
         band.set_label("noise, two standard deviations")

@@ -176,13 +176,7 @@ class StudyRecord:
 
     def data_chart(self) -> "Chart":
         """All measurements, those that are fitted first."""
-        from phsi_opt.data.data_chart import data_chart
-
-        runs = list(self.train.look.trajectories)
-        for part, data in {"held out": self.held_out, "final": self.final}.items():
-            for run in () if data is None else data.look.trajectories:
-                runs.append(replace(run, name=f"{run.name} ({part})"))
-        return data_chart(replace(self.train.look, trajectories=tuple(runs)))
+        return self.train.chart(self.held_out, self.final)
 
     @property
     def last(self) -> Step:

@@ -45,10 +45,6 @@
   }
   document.querySelectorAll("select[data-chart]").forEach((select) => select.addEventListener("change", () =>
     draw(select.dataset.chart)));
-  document.querySelectorAll(".zoom").forEach((group) => group.addEventListener("click", (event) => {
-    const what = event.target.dataset.do;
-    if (what) drawn[group.dataset.chart].zoom(what);
-  }));
   Object.keys(charts).forEach(draw);
   root.dataset.drawn = "yes";
 })();
