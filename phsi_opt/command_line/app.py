@@ -17,6 +17,7 @@ from phsi_opt.command_line.job import (
     COMPARE,
     DIAGNOSE,
     EXPERIMENT,
+    EXPORT,
     FIT,
     GO_THROUGH,
     MEANINGS,
@@ -27,6 +28,7 @@ from phsi_opt.command_line.job import (
 )
 from phsi_opt.command_line.process import do, finish, told_errors
 from phsi_opt.data.file_opening import opened_files
+from phsi_opt.export.targets import exported_path
 
 STUDY_NAME = "study.toml"  # written by init, and read where no other is named
 REPORT_NAME = "report.html"  # written by --report without a name
@@ -166,6 +168,25 @@ def diagnose(
 ) -> None:
     """Show where the model fails and which effect explains it."""
     do(Job(DIAGNOSE, study, fit=saved, exit_code=exit_code), as_json)
+
+
+@app.command()
+def export(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="The new file: .fmu, .c, .mo (Modelica) or .m (MATLAB).",
+            metavar="FILE",
+        ),
+    ],
+    study: StudyPath = Path(STUDY_NAME),
+    saved: Saved = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write the fitted model for other programs, with the effects added so far."""
+    with told_errors(as_json):
+        exported_path(file)
+    do(Job(EXPORT, study, fit=saved, export=file), as_json)
 
 
 @app.command()

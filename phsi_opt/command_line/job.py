@@ -15,6 +15,7 @@ from phsi_opt.errors import PhsiOptError, SolveError, StudyFileError
 FIT = "fit"
 COMPARE = "compare"
 DIAGNOSE = "diagnose"
+EXPORT = "export"
 GO_THROUGH = "study"
 EXPERIMENT = "experiment"
 
@@ -51,7 +52,7 @@ class Reach(StrEnum):
 class Job:
     """One piece of work."""
 
-    kind: str  # `FIT`, `COMPARE`, `DIAGNOSE`, `GO_THROUGH` or `EXPERIMENT`
+    kind: str  # one of those above
     study: Path  # the study file
     fit: Path | None = None  # a saved fit to take in place of a new one; None: fit anew
     is_auto: bool = False  # whether effects are looked for and added
@@ -64,12 +65,13 @@ class Job:
     write: bool = False
     reach: Reach = Reach.DECISIVE  # how clear an effect has to be that is added
     plan: "ExperimentPlan | None" = None  # of `EXPERIMENT`
+    export: Path | None = None  # where the model is written; or None
 
     @property
     def places(self) -> list[Path]:
         """The files that it writes."""
         planned = self.plan.table if self.plan else None
-        return [*filter(None, (self.save, self.report, planned))]
+        return [*filter(None, (self.save, self.report, self.export, planned))]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from phsi_opt.command_line.job import (
     COMPARE,
     DIAGNOSE,
     EXPERIMENT,
+    EXPORT,
     FIT,
     Answer,
     ExitCode,
@@ -63,6 +64,8 @@ def run(job: Job, tell: Tell) -> Answer:
         answer = _diagnose_answer(study.diagnose(), job)
     elif job.kind == EXPERIMENT and job.plan is not None:
         answer = _experiment_answer(study, job.plan)
+    elif job.kind == EXPORT:
+        answer = _exported(study.fit, study.record.last.held_out, job)
     else:
         try:
             answer = _study_answer(study, job, file)
@@ -80,6 +83,9 @@ def _of_saved_fit(job: Job, file: StudyFile, tell: Tell) -> Answer:
     train, held_out = file.split()
     if job.kind == COMPARE:
         return _compare_answer(compare(fit, held_out or train))
+    if job.kind == EXPORT:
+        compared = None if held_out is None else compare(fit, held_out)
+        return _exported(fit, compared, job)
     found = diagnose(
         fit,
         train,
@@ -161,6 +167,20 @@ def _compare_answer(comparison: Comparison) -> Answer:
         "warning": comparison.warning,
     }
     return Answer(str(comparison), plain(content))
+
+
+def _exported(fit: Fit, compared: Comparison | None, job: Job) -> Answer:
+    assert job.export is not None
+    path = fit.export(job.export, compared)
+    content = {
+        "exported": path,
+        "states": fit.model.states,
+        "inputs": fit.model.inputs,
+        "parameters": fit.values,
+        "rmse": None if compared is None else compared.rmse,
+        "unit": None if compared is None else compared.error_unit,
+    }
+    return Answer(f"exported: {path}", plain(content))
 
 
 def _diagnose_answer(found: Diagnosis, job: Job) -> Answer:

@@ -27,6 +27,7 @@ from phsi_opt.estimation.fit_file import (
     read_json,
 )
 from phsi_opt.estimation.identified import DIGITS, Identified
+from phsi_opt.export.targets import exported_path
 from phsi_opt.later import Later, Remade
 from phsi_opt.model.directions import factors_of
 from phsi_opt.model.laws import parameter_words
@@ -127,7 +128,8 @@ class Fit(Identified, Summarised):
     - Simulation: ``simulate(t, x0, u)``; ``model`` is the fitted model,
       ``model_of(trajectory)`` that of one trajectory.
     - Forms: ``print(fit)``, ``plot()``, ``save(path)`` and ``Fit.load(path)``.
-    - For others: ``program`` is the nonlinear program.
+    - For others: ``export(path)`` writes C, an FMU, Modelica or MATLAB; ``program`` is
+      the nonlinear program.
     - Reliability: ``outcome`` says how the solver ended; read ``warnings`` before you
       use the numbers.
 
@@ -471,13 +473,16 @@ class Fit(Identified, Summarised):
         """
         if trajectory is None:
             return super().simulate(t, x0, u)
+        self._check_own(trajectory)
+        return simulate(self.model_of(trajectory), t, x0, u, hold=self.hold)
+
+    def _check_own(self, trajectory: str | int) -> None:
         if self._trajectory_name(trajectory) not in self.by_trajectory:
             known = some_of(list(self.by_trajectory), "none: all parameters are shared")
             raise DataError(
                 f"trajectory {shown(trajectory)} has no parameters of its own in this "
                 f"fit; known are {known}."
             )
-        return simulate(self.model_of(trajectory), t, x0, u, hold=self.hold)
 
     @property
     def program(self) -> Program:
@@ -524,6 +529,66 @@ class Fit(Identified, Summarised):
             DataError: The file cannot be written.
         """
         write_whole(path, json.dumps(self.content(), indent=1) + "\n")
+
+    @partial(typed, error=DataError)
+    def export(
+        self,
+        path: str | Path,
+        comparison: Summarised | None = None,
+        trajectory: str | int | None = None,
+    ) -> Path:
+        """Write the fitted model for other programs; the suffix of the path decides.
+
+        - ``.c``: C99 that allocates no memory: dx/dt, what the sensors show, a step of
+          the classical Runge-Kutta scheme, the parameters as a struct.
+        - ``.fmu``: FMI 2.0 for co-simulation, with its sources and a program for this
+          machine, which needs a C compiler. Steps are as short as their error asks;
+          inputs are held, or change by their derivatives.
+        - ``.mo``: a model in Modelica.
+        - ``.m``: a function of MATLAB or Octave for ``ode45``.
+
+        Numbers are in the computed units, as in ``values``. Estimates with standard
+        errors and units, noise and warnings stand in comments, in an FMU in attributes.
+        An input ``delayed(u, tau)`` is one more input in C and MATLAB, behind the
+        others.
+
+        Args:
+            path: Of the file. An existing file is overwritten.
+            comparison: What `compare` found on data that were not used for the fit; its
+                errors are told too.
+            trajectory: Name or number of the trajectory whose own parameters are meant;
+                None: the means over the trajectories.
+
+        Returns:
+            The path.
+
+        Raises:
+            DataError: The suffix is not known, the file cannot be written, there is no
+                C compiler for an FMU, or the trajectory has no parameters of its own.
+            ModelError: A term has no form in these languages.
+
+        Examples:
+            >>> fit.export("spring.c", ph.compare(fit, test)).name
+            'spring.c'
+        """
+        place = exported_path(path)
+        run = ""
+        if trajectory is not None:
+            self._check_own(trajectory)
+            run = self._trajectory_name(trajectory)
+        from phsi_opt.export.write import Exported, write_model  # SymPy is slow
+
+        model = self.model_of(run)
+        start = np.zeros(model.n_states)
+        if self.states:
+            start = self.states[[*self.by_trajectory].index(run) if run else 0][0]
+        estimates = {name: _estimate(self, name, run) for name in model.entries}
+        facts = {"fit": self, "title": _title(self), "equations": equation_lines(self)}
+        facts |= {"run": run, "comparison": comparison}
+        header = lines(__package__, "exported", **facts)
+        units = {**self.units, **self.parameter_units}
+        told = Exported(model, start, units, estimates, header)
+        return write_model(told, place)
 
     @classmethod
     @partial(typed, error=DataError)
@@ -727,18 +792,24 @@ def _term(fit: Fit, term: Term, place: str, number: int) -> str:
     return term.product(coefficient, IDENTIFIER.sub(estimate_of, term.body))
 
 
-def _estimate(fit: Fit, name: str) -> str:
-    """Value +- standard error and unit; of a parameter per trajectory only the mean."""
+def _estimate(fit: Fit, name: str, run: str = "") -> str:
+    """Value +- standard error and unit.
+
+    Of a parameter per trajectory that of a ``run``; without one only the mean.
+    """
     parameter = fit.model.entries[name].parameter
     scale = scale_of(fit.parameter_units[name])
     unit = spaced(scale.unit)
-    value = scale.shown(fit.values[name])
+    is_own = parameter.per_trajectory and bool(fit.by_trajectory)
+    key = f"{name}[{run}]" if is_own and run else name
+    size = fit.estimates.get(key, fit.values[name])
+    value = scale.shown(size)
     if parameter.fixed:
         digits = DIGITS if parameter.guess is None else 3  # a rough rule gave it
         return f"{value:.{digits}g}{unit}"
-    if parameter.per_trajectory and fit.by_trajectory:
+    if is_own and not run:
         return f"{value:.6g}{unit}, mean over trajectories"
-    if name in fit.outcome.at_bounds:
-        bound = parameter.nearest_bound(fit.values[name])
+    if key in fit.outcome.at_bounds:
+        bound = parameter.nearest_bound(size)
         return f"{scale.shown(bound):.6g}{unit}, at its bound"
-    return f"{estimate_text(value, fit.std_errors[name] / scale.size)}{unit}"
+    return f"{estimate_text(value, fit.std_errors[key] / scale.size)}{unit}"

@@ -190,7 +190,7 @@ def usual() -> Arguments:
         **{"StudyFile.of.held_out": ph.HeldOut(share=0.4), "max_iterations": 5},
         **{"StudyFile.of.loss": None, "StudyFile.of.folder": ".", "what": "x"},
         **{"FirstOrder.S": None, "FirstOrder.H": None, "folder": None},
-        **{"executor": ThreadPoolExecutor(1)},
+        **{"executor": ThreadPoolExecutor(1), "Fit.export.path": f"{FOLDER.name}/a.c"},
         **usual_of_readers,
         **sections,
     }
