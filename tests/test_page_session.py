@@ -459,6 +459,15 @@ def test_the_exported_script_reproduces_every_step(
     )
 
 
+def test_the_fitted_model_is_exported_with_its_error(studied: Session) -> None:
+    studied.report("model.c")
+    wait_for(lambda: studied.job is None)
+    assert studied.report_path is not None
+    text = studied.report_path.read_text()
+    assert "void model_rates" in text and "coulomb_friction_p" in text
+    assert "On the measurements that it was compared with" in text
+
+
 def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None:
     larger = studied.content
     assert larger is not None

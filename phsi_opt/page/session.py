@@ -450,11 +450,11 @@ class Session:
         """Add while an effect is decisive."""
         self._order("Adding effects until none is missing", partial(worker.auto))
 
-    def report(self) -> None:
-        """Write the report; ``report_path`` is set when it is there."""
+    def report(self, name: str = REPORT_FILE) -> None:
+        """Write the report, or the model; ``report_path`` is set when it is there."""
         self.report_path = None
-        order = partial(worker.report, self._state / REPORT_FILE)
-        self._order("Writing the report", order)
+        what = "Writing the report" if name == REPORT_FILE else f"Writing {name}"
+        self._order(what, partial(worker.report, self._state / name))
 
     def cancel(self) -> None:
         """End the work that goes on, within two seconds; what was found stays."""

@@ -26,7 +26,7 @@ from phsi_opt.page.parts import (
     plotted_data,
     said_by,
 )
-from phsi_opt.page.session import Look, Model, Session
+from phsi_opt.page.session import REPORT_FILE, Look, Model, Session
 from phsi_opt.presentation.charts import (
     Chart,
     errors_chart,
@@ -343,23 +343,25 @@ class StudyView:
         with card().classes("last"):
             heading("Export")
             with ui.row():
-                self._begins("Report", self._report, False)
+                self._begins("Report", partial(self._write, REPORT_FILE), False)
                 made = self._session.study_file
                 for label, text, name in (
                     ("Study file", lambda: made().text(), "study.toml"),
                     ("Python script", lambda: made().script(), "study.py"),
                 ):
                     button(label, partial(self._send, text, name), quiet=True)
+                for label, name in (("FMU", "model.fmu"), ("C code", "model.c")):
+                    self._begins(label, partial(self._write, name), True)
             ui.label(
                 "Study file and script expect the CSV files in their own folder."
             ).classes("faint")
 
-    def _report(self) -> None:
+    def _write(self, name: str) -> None:
         self._wants_report = True
-        self._session.report()
+        self._session.report(name)
 
     async def deliver(self) -> None:
-        """Send the report to the browser that asked for it, when it is there."""
+        """Send what was written to the browser that asked for it, when it is there."""
         path = self._session.report_path
         if self._wants_report and path is not None:
             self._wants_report = False

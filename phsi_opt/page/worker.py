@@ -24,6 +24,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from phsi_opt.errors import DataError, PhsiOptError, StudyFileError
+from phsi_opt.export.targets import SUFFIXES
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.study import Study
@@ -307,8 +308,11 @@ def auto() -> Any:
 
 
 def report(path: Path) -> Path:
-    """Write the report."""
-    return _study().report(path)
+    """Write the report, or the model where the name is that of an export."""
+    study = _study()
+    if path.suffix in SUFFIXES:
+        return study.fit.export(path, study.record.last.held_out)
+    return study.report(path)
 
 
 def _study() -> Study:
