@@ -36,6 +36,7 @@ WRITTEN_AS = {  # by a word of the annotation
     "Model": "A Model, which comes first, is a PseudoHamiltonian or a FirstOrder.",
     "Loss": "Write PHSILoss() or MaximumLikelihood().",
     "Dictionary": "Write formula('...') or polynomials([...], n).",
+    "Summarised": "Give what compare returns.",
     "Sequence": "Write a list, such as ['a', 'b'].",
     "Mapping": "Write a mapping, such as {'p': ...}.",
 }

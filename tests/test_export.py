@@ -7,6 +7,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from typer.testing import CliRunner
 
@@ -17,7 +18,7 @@ from phsi_opt.command_line.jobs import run as run_job
 from phsi_opt.export import targets
 from phsi_opt.export.equations import Equations, allowed_names
 from problems.benchmarks.exports import AGREED, Motion, compared
-from problems.tools.exported import Compiled
+from problems.tools.exported import Compiled, run_fmu
 
 T = np.linspace(0.0, 4.0, 81)
 PULSES = np.column_stack([np.sign(np.sin(3 * T)), np.cos(T)])
@@ -120,6 +121,22 @@ def test_sensors_show_what_the_model_has(tmp_path: Path) -> None:
     assert found["double"][-1] == pytest.approx(known[-1, 1], abs=1e-7)
 
 
+def test_an_fmu_stops_where_it_cannot_be_right(tmp_path: Path, capsys) -> None:
+    none = np.zeros((3, 0))
+    escapes = fitted(ph.FirstOrder(["x"], {"x": "-x"}))
+    escapes = dataclasses.replace(escapes, model=ph.FirstOrder(["x"], {"x": "x**2"}))
+    path = escapes.export(tmp_path / "escapes.fmu")
+    with pytest.raises(FMICallException):  # x = 1/(1 - t)
+        run_fmu(path, np.array([0.0, 0.5, 1.5]), np.ones(1), none, np.zeros(0))
+    assert "the model is much faster" in capsys.readouterr().out
+    late = fitted(driven("delayed(u, tau)", tau=ph.Parameter(0.17)).frozen())
+    path = late.export(tmp_path / "late.fmu")
+    t = 1e-5 * np.arange(5000)  # 0.17 s are more steps than are remembered
+    with pytest.raises(FMICallException):
+        run_fmu(path, t, np.ones(2), np.ones((5000, 1)), np.zeros(1))
+    assert "longer than the last 4096" in capsys.readouterr().out
+
+
 def test_what_is_known_of_the_numbers_is_carried_along(tmp_path: Path) -> None:
     fit = dataclasses.replace(spring(), units={"q": "m", "p": "kg m/s", "t": "s"})
     data = ph.Measurements.from_arrays(
@@ -192,6 +209,8 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path, monkeypatch) -> None
         ph.DataError, match=r"'model.fmi' cannot be .* Did you mean '.fmu'"
     ):
         spring().export(tmp_path / "model.fmi")
+    with pytest.raises(ph.DataError, match="Give what compare returns"):
+        spring().export(tmp_path / "model.c", 0.1)  # type: ignore[arg-type]
     with pytest.raises(ph.DataError, match="its folder does not exist"):
         spring().export(tmp_path / "nowhere" / "model.c")
     energy = "abs(sqrt(q)) + p**2"
