@@ -165,7 +165,7 @@ def main(names: tuple[str, ...]) -> None:
         n=len(table),
         n_agreed=(off["FMU"] < AGREED).sum(),
         beyond=table["problem"][off["FMU"] >= AGREED].tolist(),
-        apart=off[CLOSEST].max(),
+        apart=off[CLOSEST][off["FMU"] >= AGREED].max(),
         largest=off[["C", "MATLAB", "Modelica"]].max().max(),
         agreed=AGREED,
         n_samples=N_SAMPLES,
