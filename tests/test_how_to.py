@@ -16,7 +16,7 @@ from tests.doc_pages import (
 
 LONG = (
     *("without_python", "closed_loop", "many_fits", "dictionary"),
-    *("house", "input", "own_effect"),
+    *("house", "input", "own_effect", "blocks"),
 )
 
 

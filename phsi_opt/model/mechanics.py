@@ -259,7 +259,7 @@ def _sums_of(
                 for term in sp.Add.make_args(field[k]):
                     energy = None
                     if term.free_symbols.isdisjoint({*x} - {position}):
-                        energy = _integral(term, position)
+                        energy = integral(term, position)
                     potential -= energy or 0
                     forces[k] += term if energy is None else 0
         forms = (potential, sp.expand(potential), sp.factor(potential))
@@ -267,7 +267,7 @@ def _sums_of(
     return losses, potentials, forces
 
 
-def _integral(term: "sp.Expr", x: "sp.Symbol") -> "sp.Expr | None":
+def integral(term: "sp.Expr", x: "sp.Symbol") -> "sp.Expr | None":
     """The integral over a position; None where no formula can hold it."""
     import sympy as sp
     from sympy.integrals.manualintegrate import manualintegrate
@@ -286,7 +286,7 @@ def _potential(field: "list[sp.Expr]", x: "list[sp.Symbol]") -> "sp.Expr | None"
 
     V = sp.Integer(0)
     for force, position in zip(field, x, strict=True):
-        energy = _integral(sp.expand(force + V.diff(position)), position)
+        energy = integral(sp.expand(force + V.diff(position)), position)
         if energy is None:
             return None
         V -= energy

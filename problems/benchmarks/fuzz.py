@@ -103,6 +103,7 @@ class Target:
 
 # made by the package, not by its user
 RESULTS = {
+    "BlockDiagram",
     "Bootstrap",
     "Candidate",
     "Comparison",

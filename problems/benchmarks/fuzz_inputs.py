@@ -185,6 +185,7 @@ def usual() -> Arguments:
         **{"level": 0.9, "l1": {"H": 0.1}, "share": 0.4, "column": "t"},
         **{"DataSection.states": columns, "Fit.content.states": True},
         **{"added": ["coulomb friction"]},
+        **{"diagram": {"m": "mass: x", "k": "spring: x, ground"}, "positions": ["x"]},
         **{"from_sympy.system": [sp.Symbol("p"), -sp.Symbol("k") * sp.Symbol("q")]},
         **{"StudyFile.of.data": ph.DataSection(states=columns, **section)},
         **{"StudyFile.of.held_out": ph.HeldOut(share=0.4), "max_iterations": 5},

@@ -128,6 +128,41 @@ def house() -> pd.DataFrame:
     return pd.DataFrame(columns).round(3)
 
 
+def drive() -> pd.DataFrame:
+    """A motor that turns a load through a flexible shaft; the dry friction is hidden.
+
+    L di/dt = u - R i - K w1, J1 dw1/dt = K i - T, J2 dw2/dt = T - b w2 - f sign(w2)
+    with the torque T = k (phi1 - phi2) + d (w1 - w2) of the shaft
+    """
+    R = 1.0  # Ohm
+    L = 0.02  # H
+    K = 0.3  # V s/rad
+    J1 = 0.01  # kg m2
+    J2 = 0.03  # kg m2
+    k = 15.0  # N m/rad
+    d = 0.02  # N m s/rad
+    b = 0.02  # N m s/rad
+    f = 0.2  # N m
+    rng = np.random.default_rng(SEED)
+    t = np.linspace(0.0, 4.0, 401)  # s
+    u = np.repeat(rng.uniform(-6.0, 6.0, size=20), 20)
+    u = np.append(u, u[-1]).round(2)  # V, a new one every 0.2 s
+
+    def rates(now: float, x: np.ndarray) -> list[float]:
+        i, phi1, w1, phi2, w2 = x
+        voltage = u[min(int(now / 0.01 + 1e-9), len(u) - 1)]
+        shaft = k * (phi1 - phi2) + d * (w1 - w2)
+        friction = b * w2 + f * np.tanh(w2 / 0.01)
+        electrical = (voltage - R * i - K * w1) / L
+        return [electrical, w1, (K * i - shaft) / J1, w2, (shaft - friction) / J2]
+
+    x = solved(rates, t, [0.0] * 5, step=0.001)
+    angles = x[:, [1, 3]] + 0.002 * rng.normal(size=(len(t), 2))
+    columns = {"t_s": t, "voltage_V": u}
+    columns |= {"motor_rad": angles[:, 0], "load_rad": angles[:, 1]}
+    return pd.DataFrame(columns).round(4)
+
+
 def servo() -> pd.DataFrame:
     """A slide under a position controller; its dry friction is hidden.
 
@@ -218,6 +253,7 @@ FILES = {
     "tanks.csv": tanks,
     "house.csv": house,
     "servo.csv": servo,
+    "drive.csv": drive,
 }
 PAGE_FILES = {"motor/motor.csv": motor, "house/house.csv": heated_room}
 

@@ -1,4 +1,4 @@
-"""The picture of the tutorial in docs/, from the file that it reads.
+"""The pictures of docs/: of the tutorial, from its file, and of a diagram of blocks.
 
 python -m problems.examples.docs_pictures
 """
@@ -12,16 +12,30 @@ from problems.tools.pictures import plt
 
 FOLDER = Path(__file__).parents[2] / "docs" / "pictures"
 
+DRIVE = {  # as in docs/how_to/blocks.md
+    "u": "voltage: supply, ground",
+    "R": "resistor: supply, a",
+    "L": "coil: a, b",
+    "K": "motor: b, ground, motor",
+    "J1": "inertia: motor",
+    "k": "torsion spring: motor, load",
+    "d": "torsion damper: motor, load",
+    "J2": "inertia: load",
+    "b": "torsion damper: load, ground",
+}
+
 
 def main() -> None:
-    """Write the picture of the base model, fitted to two runs; one run is held out."""
+    """Write the pictures; the base model is fitted to two runs, one is held out."""
     FOLDER.mkdir(exist_ok=True)
     train, held_out = demo.measurements(DATA / "spring.csv").split(0.7)
     study = ph.Study(demo.model(), train, held_out=held_out)
     figure, ax = plt.subplots(figsize=(8.0, 3.8), layout="constrained")
     study.compare().plot(ax)
     figure.savefig(FOLDER / "tutorial_before.png", dpi=100)
-    print("wrote tutorial_before.png")
+    figure = ph.blocks(DRIVE).plot().figure
+    figure.savefig(FOLDER / "drive.png", dpi=80)
+    print("wrote tutorial_before.png and drive.png")
 
 
 if __name__ == "__main__":
