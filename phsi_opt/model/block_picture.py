@@ -1,7 +1,7 @@
 """A diagram of blocks as a picture: nodes are bars, from which blocks go to others.
 
-The bars stand in a row, in the order in which they are reached from the first block.
-Blocks to the ground hang below them, and blocks between them are in lanes above.
+The bars stand in a row, in the order of the diagram. Blocks to the ground hang below
+them, and blocks between them are in lanes above.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ Bars = Mapping[str, tuple[float, float]]  # where the bar of a node begins and e
 
 def draw_blocks(blocks: Sequence[Block], ax: "Axes | None" = None) -> "Axes":
     """Draw the bars of the nodes and the blocks at them."""
-    order = _order(blocks)
+    order = list(dict.fromkeys(node for block in blocks for node in block.nodes))
     hanging = [block for block in blocks if len(block.nodes) == 1]
     n_hanging = [sum(node in one.nodes for one in hanging) for node in order]
     bars = {}
@@ -48,21 +48,6 @@ def draw_blocks(blocks: Sequence[Block], ax: "Axes | None" = None) -> "Axes":
     for block, lane in lanes.items():
         _draw_between(ax, block, 0.9 * lane, bars)
     return ax
-
-
-def _order(blocks: Sequence[Block]) -> list[str]:
-    """The nodes, each behind one that a block joins it with where there is one."""
-    order: list[str] = []
-    left = dict.fromkeys(node for block in blocks for node in block.nodes)
-    while left:
-        reached = [next(iter(left))]
-        for node in reached:
-            for block in blocks:
-                others = block.nodes if node in block.nodes else ()
-                reached += [one for one in others if one not in reached]
-        order += reached
-        left = {node: None for node in left if node not in reached}
-    return order
 
 
 def _lanes(blocks: Sequence[Block], order: Sequence[str]) -> dict[Block, int]:

@@ -33,7 +33,8 @@ def main() -> None:
     figure, ax = plt.subplots(figsize=(8.0, 3.8), layout="constrained")
     study.compare().plot(ax)
     figure.savefig(FOLDER / "tutorial_before.png", dpi=100)
-    figure = ph.blocks(DRIVE).plot().figure
+    figure, ax = plt.subplots(figsize=(14.4, 3.6), layout="constrained")
+    ph.blocks(DRIVE).plot(ax)
     figure.savefig(FOLDER / "drive.png", dpi=80)
     print("wrote tutorial_before.png and drive.png")
 
