@@ -467,7 +467,7 @@ def test_verdict_table_and_picture_use_the_same_words(page, content, study) -> N
     (head,) = [k for k, line in enumerate(lines) if line.startswith("| Step | Model |")]
     assert lines[head + 1].startswith("| --- | --- |")
     assert lines[head + 2].startswith("| 0 | base model | 0.0")
-    assert any(line.endswith(" | no other | accepted |") for line in lines)
+    assert any(line.endswith(" | accepted |") for line in lines)
     titled = replace(study.record, title="Drive <7>")
     assert "<title>Drive &lt;7&gt;: " in html_report(study_content(titled))
 

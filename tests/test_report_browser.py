@@ -1,6 +1,7 @@
 """The report in a real Chromium: charts are drawn, zoomed and chosen; nothing overflows."""
 
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from phsi_opt.presentation.content import (
     Run,
     StudyContent,
 )
-from phsi_opt.presentation.html_report import html_report
+from phsi_opt.presentation.html_report import html_report, in_css
 from phsi_opt.presentation.units import Scale
 from tests.page_tools import browser_path
 from tests.waiting import HANGS_AFTER
@@ -203,3 +204,13 @@ def test_nothing_is_wider_than_the_screen_and_paper_has_pictures(report, width) 
     expect(report.locator("#measured")).to_be_hidden()
     report.emulate_media(media="screen")
     expect(report.locator("#measured")).to_be_visible()
+
+
+@pytest.mark.slow
+def test_paper_has_few_full_pages_with_the_name_of_the_study(report: Page) -> None:
+    report.emulate_media(media="print")
+    printed = report.pdf(format="A4")
+    assert len(re.findall(rb"/Type /Page\b", printed)) == 2
+    rules = report.locator("style").text_content() or ""
+    assert r'@top-left { content: "Drive 7\3a  nothing missing"; }' in rules
+    assert in_css('a"</style>\\') == r'"a\22 \3c \2f style\3e \5c "'

@@ -291,10 +291,10 @@ def rounded(curve: np.ndarray) -> list[float | None]:
 # ---- by matplotlib -------------------------------------------------------------------
 
 
-def svg(chart: Chart) -> str:
-    """A chart as the text of an SVG file."""
+def svg(chart: Chart, width: float = 7.2) -> str:
+    """A chart as the text of an SVG file; as wide as a page, or less (inches)."""
     with rc_context(STYLE):
-        figure = Figure(figsize=_size(chart, 7.2), layout="constrained")  # as a page
+        figure = Figure(figsize=_size(chart, width), layout="constrained")
         ax = drawn(chart, ax=figure.add_subplot())
         for line in chain.from_iterable(map(Axes.get_lines, figure.axes)):
             if line.get_linestyle() == "None":  # each of many points takes 100 letters

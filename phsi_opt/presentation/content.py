@@ -143,6 +143,7 @@ class ParameterRow:
     upper: Number
     remark: str
     unit: str
+    symbol: str = ""  # in the typeset equations, where that is not its name
 
     @property
     def interval(self) -> str:
@@ -170,7 +171,8 @@ class Equations:
         """The table of the parameters."""
         rows = []
         for one in self.parameters:
-            row = {"Parameter": one.name, "Value": with_error(one.value, one.std_error)}
+            name = f"{one.symbol}: {one.name}" if one.symbol else one.name
+            row = {"Parameter": name, "Value": with_error(one.value, one.std_error)}
             row |= {"95 % interval": one.interval, "Unit": typeset(one.unit)}
             rows.append(row)
         return rows
@@ -330,8 +332,12 @@ class Diagnosed:
         return tuple(one for one in self.ranking if one.is_likely)[:12]
 
     def rows(self, unit: str) -> list[Row]:
-        """Their table, with errors in a unit."""
-        return [one.row(unit) for one in self.listed]
+        """Their table, with errors in a unit, without columns that say nothing."""
+        rows = [one.row(unit) for one in self.listed]
+        told: set[str] = set()
+        for row in rows:
+            told |= {name for name, cell in row.items() if cell not in ("", "no other")}
+        return [{name: row[name] for name in row if name in told} for row in rows]
 
 
 # ---- all of it -----------------------------------------------------------------------
@@ -382,6 +388,12 @@ class StudyContent:
         if self.headline.status != "nothing missing":
             return "Where it fails"
         return "Where the base model failed" if self.added else "Diagnosis"
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """The typeset equations of the present model that the base model has not."""
+        first, last = self.models[0], self.models[-1]
+        return tuple(line for line in last.typeset if line not in first.typeset)
 
     @property
     def worst(self) -> tuple[int, int, float]:

@@ -8,6 +8,7 @@ place of the charts.
 import base64
 import gzip
 import json
+import re
 from importlib.resources import files
 from typing import Any
 
@@ -28,6 +29,7 @@ from phsi_opt.presentation.sentences import environment
 
 PRESENTATION = "phsi_opt.presentation"
 TEMPLATES = "templates"
+NO_WORD = re.compile(r"[^\w ]")
 
 
 def _places(
@@ -63,9 +65,9 @@ def html_report(content: StudyContent, data: Chart | None = None) -> str:
     """The whole report as the text of an HTML file, with a chart of all its data."""
     charts, several = _places(content, data)
 
-    def picture(name: str) -> str:
-        """An address that holds the picture for paper."""
-        text = svg(charts[name]).encode()
+    def picture(name: str, width: float) -> str:
+        """An address that holds the picture for paper, of a width in inches."""
+        text = svg(charts[name], width).encode()
         return f"data:image/svg+xml;base64,{base64.b64encode(text).decode()}"
 
     templates = environment(PRESENTATION, TEMPLATES, autoescape=True, finalize=unbroken)
@@ -75,6 +77,7 @@ def html_report(content: StudyContent, data: Chart | None = None) -> str:
         picture=picture,
         markup=Markup,
         style=Markup(ours("chart.css") + ours("report.css")),  # no escape
+        heading=Markup(in_css(f"{content.title}: {content.headline.badge}")),
         script=Markup(ours("chart.js") + ours("report.js")),
         data=packed(json.dumps(figure(charts | several), allow_nan=False)),
     )
@@ -83,6 +86,11 @@ def html_report(content: StudyContent, data: Chart | None = None) -> str:
 def ours(name: str) -> str:
     """The text of one of our scripts and style sheets."""
     return (files(PRESENTATION) / TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def in_css(text: str) -> str:
+    """A text as a string of a style sheet, whatever is in it."""
+    return '"' + NO_WORD.sub(lambda one: f"\\{ord(one[0]):x} ", text) + '"'
 
 
 def markdown_report(content: StudyContent) -> str:
