@@ -49,11 +49,14 @@ def test_a_delay_is_written_as_one_and_not_as_its_states() -> None:
     assert lines[-1] == "qmeasured=q(t−2 s)" and len(lines) == 4
 
 
-@pytest.mark.parametrize("effect", ["coulomb friction", "hysteresis", "gap"])
-def test_effects_are_written_with_the_velocity(effect: str) -> None:
+@pytest.mark.parametrize(
+    ("effect", "symbol"),
+    [("coulomb friction", "FC"), ("hysteresis", "chysteresis force"), ("gap", "cgap")],
+)
+def test_effects_are_written_with_the_velocity(effect: str, symbol: str) -> None:
     lines = told(spring().add(effect, "p"))
     assert not any("dH" in line or "N0" in line for line in lines)
-    assert any(effect in line for line in lines)
+    assert any(symbol in line for line in lines)
     assert "Θ" not in "".join(lines), "a step beside max(a, 0) says nothing"
 
 
@@ -71,11 +74,25 @@ def test_a_name_cannot_be_markup_and_large_models_are_left_out() -> None:
     assert typeset_equations(many, many.values, "s") == ()
 
 
-def test_names_of_several_words_are_upright_text() -> None:
-    model = ph.FirstOrder(["T"], {"T": "-T"}, kind="thermal")
+def test_further_words_of_a_name_are_its_index() -> None:
+    model = ph.FirstOrder(["T"], {"T": "-loss_to_wall*T"}, kind="thermal")
     larger = model.add("second heat storage", "T")
     rate, _ = typeset_equations(larger, dict.fromkeys(larger.entries, 1.0), "h")
-    assert "<msub><mtext>second heat storage</mtext><mi>T</mi></msub>" in rate
+    assert "<msub><mi>loss</mi><mtext>to wall</mtext></msub>" in rate
+    assert "<msub><mi>c</mi><mtext>second heat storage</mtext></msub>" in rate
+
+
+def test_a_late_input_stays_whole_in_a_fraction_and_other_equations_as_they_are() -> (
+    None
+):
+    C, G = ph.Parameter(), ph.Parameter()
+    heated = ph.formula("(P - G*(T - s))/C", C=C, G=G)
+    rates = {"T": heated, "s": ph.formula("G*(T - s)", G=G)}
+    base = ph.FirstOrder(["T", "s"], rates, inputs=["P"], kind="thermal")
+    late = base.add("input delay", "T")
+    heat, wall = typeset_equations(late, dict.fromkeys(late.entries, 2.0), "s")
+    assert re.search(r"<mfrac><mrow><mi>P</mi>.*?</mrow><mi>C</mi></mfrac>", heat)
+    assert wall == typeset_equations(base, base.values, "s")[1]
 
 
 def test_a_difference_begins_with_what_is_positive_and_high_roots_are_powers() -> None:

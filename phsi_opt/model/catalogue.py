@@ -226,7 +226,7 @@ def _has_rates(model: BaseModel, x: str, units: Mapping[str, str]) -> bool:
 
 
 def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) -> str:
-    """Such as " (per inertia)", where the size is no force but a rate."""
+    """Such as ", per inertia", where the size is no force but a rate."""
     term = effect.term.terms[-1]
     is_rate = effect.slot in "RF" and term.coefficient is not None
     if not is_rate or names_of(term.body) & set(model.variables.slopes):
@@ -235,7 +235,7 @@ def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) ->
     x = known.states[known.rows(effect.equation)[0]]
     if not _has_rates(known, x, units) or inertia_of(known, x, units):
         return ""
-    return f" (per {role_of(known, x).value[3]})"
+    return f", per {role_of(known, x).value[3]}"
 
 
 def _places(

@@ -510,6 +510,29 @@ def parameter_words(model: BaseModel, name: str) -> str:
     return name
 
 
+def parameter_symbols(model: BaseModel) -> dict[str, str]:
+    """Symbols of the parameters of effects by their names; others are their own.
+
+    A letter with the law as its index, such as "F_C" of Coulomb friction and "c_cubic
+    drag"; where several are alike, with the place as well.
+    """
+    usual = {"coulomb friction": "F_C", "stribeck friction": "F_S"}
+    between = ("between", "and", "from", "into", "with")
+    places = re.compile(f"(_({'|'.join((*model.states, *model.inputs, *between))}))+$")
+    found: dict[str, str] = {}
+    for name, entry in model.entries.items():
+        if "[" in name or parameter_words(model, name) == name:
+            continue
+        stem = places.sub("", name).replace("_", " ")
+        letter = "\N{GREEK SMALL LETTER TAU}" if entry.parameter.unit == "s" else "c"
+        symbol = usual.get(stem, f"{letter}_{re.sub(' time.*', '', stem)}")
+        if "." in name:  # inside a formula
+            symbol = name.rpartition(".")[2]
+        place = name.partition(".")[0].rpartition("_")[2]
+        found[name] = f"{symbol}, {place}" if symbol in found.values() else symbol
+    return found
+
+
 def laws_told() -> dict[str, str]:
     """What each law of the catalogue adds, by its name, in the names of any model."""
     names = {"angle": "q", "s": "x2", "s_e": "e2", "source": "force", "of_u": ""}

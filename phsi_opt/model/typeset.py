@@ -12,6 +12,7 @@ from html import escape
 from typing import Any
 
 from phsi_opt.model.base import BaseModel
+from phsi_opt.model.laws import parameter_symbols
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.model.symbolic import Bell, Expressions
@@ -62,9 +63,11 @@ def typeset_equations(
         return sp.Symbol(f"N{len(written):04}N", real=True)  # factors are in this order
 
     known = {}
+    symbol_of = parameter_symbols(model)
     for name, value in values.items():
-        is_named = "[" not in name
-        known[name] = named(_name(name)) if is_named else sp.Float(f"{value:.3g}")
+        known[name] = sp.Float(f"{value:.3g}")
+        if "[" not in name:
+            known[name] = named(_name(symbol_of.get(name, name)))
     pairs = position_of_momentum(model)
     for name, bell in functions.items():
         letter = f"<msub><mi>{bell.kind}</mi>{_name(bell.x)}</msub>"
@@ -79,15 +82,18 @@ def typeset_equations(
     x = list(map(named, map(_name, model.states)))
     u = list(map(named, map(_name, model.inputs)))
     symbols = dict(zip((*model.states, *model.inputs), (*x, *u), strict=True))
+    delayed = set()
     for name, delay in model.delays:
         late = named(_late(name, values[delay], unit_of_time))
         known[f"delayed({name}, {delay})"] = late
+        delayed.add(late)
     instead: dict[Any, Any] = {}
     for state in model.memory:
         if f"{state}_bend" not in model.memory:
             continue  # it is no delay of a sensor
         signal = state.removesuffix("_delayed")
         late = named(_late(signal, values[f"sensor_delay_{signal}"], unit_of_time))
+        delayed.add(late)
         now = symbols[signal]
         instead[symbols[state]] = (now + late) / 2
         for one in ("rate", "bend"):
@@ -105,9 +111,9 @@ def typeset_equations(
             rows[shown] = x[k] + plain.sensor[k]
     lines = []
     for left, right in rows.items():
-        found = without_steps(sp.sympify(right))
-        if instead or model.delays:
-            found = sp.expand(found.subs(instead))
+        found = without_steps(sp.sympify(right)).subs(instead)
+        if found.free_symbols & delayed:
+            found = sp.expand(found)
         found = found.replace(lambda one: one.is_Float, _exact)
         text = _mathml(found).replace(TIMES, THIN_SPACE)
         text = text.replace("<mo>-</mo>", "<mo>\N{MINUS SIGN}</mo>")
@@ -182,14 +188,13 @@ def _late(signal: str, delay: float, unit: str) -> str:
         delay, unit = 1000 * delay, "ms"
     minus = f"<mi>t</mi><mo>\N{MINUS SIGN}</mo><mn>{decimal(delay, 3)}</mn>"
     told_unit = f"<mtext>\N{NO-BREAK SPACE}{escape(unit)}</mtext>"
-    return f"{_name(signal)}<mo>(</mo>{minus}{told_unit}<mo>)</mo>"
+    return f"<mrow>{_name(signal)}<mo>(</mo>{minus}{told_unit}<mo>)</mo></mrow>"
 
 
 def _name(name: str) -> str:
-    """A name with its last part as an index, and Greek letters: omega_t, v0."""
+    """A name with its further words as an index, and Greek letters: omega_t, v0."""
     import sympy as sp
 
-    base, _, index = name.rpartition(".")[2].rpartition("_")
-    written = f"{base.replace('_', ' ')}_{index}" if base else index
-    text = _mathml(sp.Symbol(written))
+    base, _, index = name.rpartition(".")[2].strip("_").partition("_")
+    text = _mathml(sp.Symbol(f"{base}_{index.replace('_', ' ')}" if index else base))
     return SEVERAL_WORDS.sub(r"<mtext>\1</mtext>", text)

@@ -82,7 +82,8 @@ def as_exact_as(
 ) -> str:
     """Values that end with the second digit of their standard error.
 
-    Many zeros are a prefix of the unit, or else a power of ten.
+    Many zeros are a prefix of the unit, or else a power of ten; of four zeros behind
+    the point in the standard error its first digit is told instead.
     """
     place = math.floor(math.log10(std_error))
     largest = max(map(abs, values))
@@ -93,6 +94,8 @@ def as_exact_as(
     if prefix:
         power -= power % 3
     digits = 1 - place + power
+    if power < 0 and not prefix and largest >= 1e-3 and place == -5:
+        power, digits = 0, 5
     told = []
     for value in values:
         size = round(value / 10.0**power, digits) + 0.0
@@ -100,7 +103,8 @@ def as_exact_as(
     text = between.join(told)
     if power and not prefix:
         text = f"({text})e{power:+03d}"
-    return f"{text} {prefix or ''}{unit}".rstrip()
+    told_unit = unit.replace("1/", "per ", 1) if unit.startswith("1/") else unit
+    return f"{text} {prefix or ''}{told_unit}".rstrip()
 
 
 def range_words(begin: float, end: float, unit: str = "") -> str:

@@ -395,7 +395,7 @@ def si_name(powers: Powers, written: str = "") -> str:
     return coefficient_unit(powers, names) or "1"
 
 
-# ---- times: hours and days where seconds would run into thousands -------------------
+# ---- times: hours and days where seconds would run into thousands, seconds for ms ----
 
 SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}  # of the units that are told anew
 
@@ -405,6 +405,7 @@ LEAST_SECONDS = (
     (2 * 86400.0, Scale("days", 86400.0)),
     (3 * 3600.0, Scale("h", 3600.0)),
     (1800.0, Scale("min", 60.0)),
+    (3.0, Scale("s")),  # in place of thousands of ms
 )
 
 

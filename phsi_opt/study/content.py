@@ -18,7 +18,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.fit import Fit, equation_lines
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.pictures import force_of, force_runs, samples_of_each
-from phsi_opt.model.laws import parameter_words
+from phsi_opt.model.laws import parameter_symbols, parameter_words
 from phsi_opt.model.typeset import typeset_equations
 from phsi_opt.presentation.content import (
     BAD,
@@ -177,7 +177,9 @@ def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRo
     elif row["fixed"]:
         remark = "fixed"
     told = proper_names(parameter_words(fit.model, name))
-    return ParameterRow(told, value, std_error, *ends, remark, str(row["unit"]))
+    symbol = parameter_symbols(fit.model).get(name, "") if "." not in name else ""
+    unit = str(row["unit"])
+    return ParameterRow(told, value, std_error, *ends, remark, unit, symbol)
 
 
 # ---- measurements beside free runs ---------------------------------------------------
