@@ -614,7 +614,10 @@ def test_a_study_finds_what_is_missing_and_writes_it_down(diagnosed: Path) -> No
     assert result.returncode == ExitCode.DONE, result.stderr
     assert "coulomb friction on p" in result.stdout
     assert "written: report.html" in result.stderr
-    assert "Coulomb friction on p" in diagnosed.with_name("report.html").read_text()
+    assert (
+        "Coulomb friction in the equation of p"
+        in diagnosed.with_name("report.html").read_text()
+    )
     names = ph.Fit.load(diagnosed.with_name("fit.json")).names
     assert "coulomb_friction_p" in names
     assert ph.StudyFile.read(diagnosed).steps.added == ("coulomb friction on p",)

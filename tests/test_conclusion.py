@@ -19,6 +19,7 @@ from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.model.catalogue import EffectChoice, effect_named
 from phsi_opt.model.functions import function_named
+from phsi_opt.model.laws import effect_words
 from phsi_opt.screening.effect_size import Size
 from tests.machines import damped_spring
 
@@ -31,6 +32,10 @@ WAVE = effect_named(MODEL, "harmonic force", "p")
 OFFSET = effect_named(MODEL, "sensor offset", "q")
 NAMED, PARTLY_NAMED = ph.Verdict.NAMED, ph.Verdict.PARTLY_NAMED
 UNEXPLAINED, NOTHING = ph.Verdict.UNEXPLAINED, ph.Verdict.NOTHING_MISSING
+
+
+def told(effect: ph.Effect) -> str:
+    return effect_words(effect, {})
 
 
 def positions(q: np.ndarray) -> ph.Measurements:
@@ -214,7 +219,7 @@ def test_a_decisive_effect_that_leaves_noise_is_named(monkeypatch) -> None:
     found = Case([candidate(DAMPER, 20.0), *others]).concluded(monkeypatch)
     assert (found.verdict, found.proposed) == (NAMED, (DAMPER,))
     assert found.reason == (
-        "viscous damping on p (2.10 +- 0.20 N); the training error falls from 10.0 to "
+        "viscous damping in the equation of p (2.10 +- 0.20 N); the training error falls from 10.0 to "
         "1.05 m, noise floor 1 m; decisive evidence (log evidence 20.0)"
     )
     (finding,) = found.findings
@@ -224,7 +229,7 @@ def test_a_decisive_effect_that_leaves_noise_is_named(monkeypatch) -> None:
     assert (first.train_rmse, first.share) == (1.05, finding.share)
     assert np.isnan(first.held_out_rmse)
     assert first.fit is found.proposed_fit is first.trained.fit  # type: ignore[union-attr]
-    likelier = "viscous damping on p is more likely"
+    likelier = "viscous damping in the equation of p is more likely"
     assert list(lost(found).values()) == ["", likelier, likelier, likelier]
 
 
@@ -251,7 +256,7 @@ def test_of_those_that_evidence_does_not_tell_apart_the_simplest_is_first(
     assert lost(found) == {
         str(DAMPER): "",
         str(FRICTION): "the data cannot distinguish it from the named effect",
-        str(SPRING): "viscous damping on p is more likely",
+        str(SPRING): "viscous damping in the equation of p is more likely",
     }
     # Of equal ones it is the one that the catalogue has first.
     alike = [candidate(PUSH, 9.0), candidate(DAMPER, 9.0)]
@@ -279,7 +284,7 @@ def test_an_effect_whose_re_fit_fails_gives_way_to_the_next(monkeypatch) -> None
         "sensor offset on q": "",
         "constant force on p": "its size, 2.1 +- 1.1 N, does not differ significantly from zero",
         "viscous damping on p": (
-            "the data do not determine it: viscous damping on p ends at a limit of its range"
+            "the data do not determine it: viscous damping in the equation of p ends at a limit of its range"
         ),
         "cubic stiffness on p": "could not be re-fitted",
     }
@@ -304,7 +309,7 @@ def test_an_effect_beside_which_a_force_is_evident_is_partly_named(monkeypatch) 
         assert bool(found.findings) == is_enough
     assert found.verdict == UNEXPLAINED and found.proposed == ()
     assert found.reason == (
-        "the nearest is viscous damping on p (2.10 +- 0.20 N; log evidence 20.0): the "
+        "the nearest is viscous damping in the equation of p (2.10 +- 0.20 N; log evidence 20.0): the "
         "training error falls from 10.0 to 9.00 m, noise floor 1 m. It is not named: "
         "it explains only 48 % of what is missing (mean square) and 19 % of the error"
     )
@@ -337,7 +342,9 @@ def test_effects_are_named_that_explain_enough_together_alone(monkeypatch) -> No
     )
     assert [one.log_evidence for one in found.ranking[:2]] == [25.0, 23.0]
     assert found.ranking[0].fit is found.ranking[1].fit is found.proposed_fit
-    assert found.reason.startswith("cubic stiffness on p (2.10 +- 0.20 N) and a loss")
+    assert found.reason.startswith(
+        "cubic stiffness in the equation of p (2.10 +- 0.20 N) and a loss"
+    )
     assert found.reason.endswith("decisive evidence (log evidence 29.0)")
     # Each must be decisive beside the other, and both decisively likelier than one.
     for evidence, worth in ((29.0, (23.0, 4.5)), (24.5, (23.0, 25.0))):
@@ -350,7 +357,8 @@ def test_effects_are_named_that_explain_enough_together_alone(monkeypatch) -> No
     )
     assert case.concluded(monkeypatch).findings == ()
     assert said == [
-        f"{both_name()} together are not considered: could not be re-fitted"
+        f"{told(DAMPER)} and {told(SPRING)} together are not considered: could not be "
+        "re-fitted"
     ]
 
 
@@ -417,7 +425,7 @@ def test_what_is_as_likely_as_what_is_not_named_is_not_only_decisive(
     found = Case(ranking, larger=larger).concluded(monkeypatch)
     assert (found.verdict, found.findings) == (UNEXPLAINED, ())
     assert lost(found)[str(FRICTION)] == (
-        f"the data cannot distinguish it from {DAMPER}"
+        f"the data cannot distinguish it from {told(DAMPER)}"
     )
 
 
@@ -498,7 +506,7 @@ def test_an_unknown_function_is_asked_where_a_force_remains(monkeypatch) -> None
     given = replace(case, are_candidates=False)
     found = given.concluded(monkeypatch)
     assert lost(found)[str(DAMPER)] == (
-        f"{function} is more likely (log evidence 40.1 against 20.0)"
+        f"{told(function)} is more likely (log evidence 40.1 against 20.0)"
     )
     less = replace(given, functions=[candidate(function, 40.0)])
     assert less.concluded(monkeypatch).verdict == PARTLY_NAMED
@@ -535,7 +543,7 @@ def test_without_a_decisive_effect_a_force_decides(monkeypatch) -> None:
     assert found.reason == (
         "training error 1.40 m, noise floor 1 m: there is evidence that something is "
         "missing, but no effect of the catalogue explains it; the nearest is viscous "
-        "damping on p, but its evidence is only strong (3.5)"
+        "damping in the equation of p, but its evidence is only strong (3.5)"
     )
     assert list(lost(found).values()) == [
         "too small",

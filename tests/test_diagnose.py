@@ -1,6 +1,7 @@
 """Screening, verdicts and studies: the true effect is named, and nothing false is."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -164,9 +165,9 @@ def test_each_step_is_told_and_an_executor_weighs_the_candidates(drag) -> None:
         "estimating what is missing",
         "estimating what is missing together with the model",
         "screening 3 candidate effects",
-        "computing the evidence of quadratic drag on p",
-        "computing the evidence of cubic drag on p",
-        "re-fitting with quadratic drag on p",
+        "computing the evidence of quadratic drag in the equation of p",
+        "computing the evidence of cubic drag in the equation of p",
+        "re-fitting with quadratic drag in the equation of p",
     ]
     assert len(counted.begun) > 0
 
@@ -280,15 +281,19 @@ def test_the_next_step_follows_from_the_verdict() -> None:
     of_class = ph.Finding((friction, delay), "a loss", 1.0, 0.1, 0.9)
 
     def told(verdict: ph.Verdict, *findings: ph.Finding) -> str:
-        record: Any = None  # what is found needs none
+        record: Any = SimpleNamespace(data=SimpleNamespace(labels={"q": "Angle"}))
         return str(ph.Diagnosis(record, record, (), verdict, "", findings).next_step)
 
     named = told(ph.Verdict.NAMED, name)
-    assert named.startswith("Add friction on p.") and "study.auto" in named
+    assert (
+        named.startswith("Add friction in the equation of p.") and "study.auto" in named
+    )
     partly = told(ph.Verdict.PARTLY_NAMED, name)
-    assert partly.startswith("Add friction on p, then diagnose again.")
+    assert partly.startswith("Add friction in the equation of p, then diagnose again.")
     apart = told(ph.Verdict.NAMED, of_class)
-    assert apart.startswith("Distinguish friction on p from sensor delay on q by")
+    assert apart.startswith(
+        "Distinguish friction in the equation of p from sensor delay of Angle by"
+    )
     assert "study.next_experiment" in apart
 
 
@@ -323,7 +328,9 @@ def test_an_effect_that_ended_at_a_limit_is_taken_out_again() -> None:
     study.auto(max_steps=1)
     assert [str(one) for one in study.added] == ["constant force on p"]
     (told,) = [line for line in lines if "is removed" in line]
-    assert told.startswith("maxwell element on p is removed: the data do not determine")
+    assert told.startswith(
+        "maxwell element in the equation of p is removed: the data do not determine"
+    )
 
 
 def test_an_effect_stays_where_few_iterations_do_not_fit_the_model_without_it(
@@ -353,7 +360,7 @@ def test_an_effect_stays_where_few_iterations_do_not_fit_the_model_without_it(
     assert iterations < 100
     assert not any("cubic" in name for name in names)
     (told,) = [line for line in lines if "stays" in line]
-    assert told.startswith("cubic drag on p stays")
+    assert told.startswith("cubic drag in the equation of p stays")
 
 
 def test_a_corner_that_is_too_sharp_is_made_rounder_again() -> None:

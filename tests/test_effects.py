@@ -9,7 +9,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_named
-from phsi_opt.model.laws import parameter_words
+from phsi_opt.model.laws import effect_words, parameter_words
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import grid_of
 
@@ -210,13 +210,13 @@ def test_parameters_of_effects_are_told_in_words_and_others_by_their_names() -> 
     for name in ("coulomb friction", "gap", "input delay", "constant force"):
         model = model.add(effect_named(model, name, "p"))
     told = {name: parameter_words(model, name) for name in model.entries}
-    assert told["coulomb_friction_p"] == "coulomb friction on p"
+    assert told["coulomb_friction_p"] == "coulomb friction in the equation of p"
     assert told["coulomb_friction_p.v0"] == (
-        "coulomb friction on p, speed of transition v0"
+        "coulomb friction in the equation of p, speed of transition v0"
     )
-    assert told["gap_q.play"] == "gap on q, play"
-    assert told["delay_u_p"] == "delay of u on p"
-    assert told["constant_force_p"] == "constant force on p"
+    assert told["gap_q.play"] == "gap of q, play"
+    assert told["delay_u_p"] == "delay of u in the equation of p"
+    assert told["constant_force_p"] == "constant force in the equation of p"
     assert told["k"] == "k" and told["R_p"] == "R_p"
     driven = ph.PseudoHamiltonian(
         states=["q", "p"],
@@ -226,10 +226,25 @@ def test_parameters_of_effects_are_told_in_words_and_others_by_their_names() -> 
         F={"p": ph.formula("force")},
     )
     driven = driven.add(effect_named(driven, "constant force", "p"))
-    assert parameter_words(driven, "constant_force_p") == "constant force on p"
+    assert parameter_words(driven, "constant_force_p").startswith("constant force in")
     (wave,) = [one for name, one in told.items() if name.startswith("F_p[sin")]
     assert wave.startswith("coefficient of sin(") and wave.endswith(" in F_p")
     assert parameter_words(model, "k[run 3]") == "k[run 3]"
+
+
+def test_effects_are_told_in_the_names_of_channels() -> None:
+    labels = {"q": "Position", "force": "Load"}
+    model = ph.mechanical(
+        ["q"], mass=2.5, forces="-k*q + force", k=1.0, inputs=["force"]
+    )
+    told = {str(one): effect_words(one, labels) for one in ph.catalogue(model)}
+    assert told["coulomb friction on p"] == "coulomb friction in the equation of p"
+    assert told["constant force on p"] == "constant force in the equation of p"
+    assert told["sensor offset on q"] == "sensor offset of Position"
+    late = ph.Effect("input delay of force", "F", "p", ph.formula("1"))
+    assert effect_words(late, labels) == "input delay of Load in the equation of p"
+    clutch = ph.Effect("clutch", "R", "p - q", ph.formula("1"))
+    assert effect_words(clutch, labels) == "clutch along p - Position"
 
 
 @pytest.mark.parametrize(

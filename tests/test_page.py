@@ -16,7 +16,7 @@ from tests.waiting import HANGS_AFTER
 pytestmark = pytest.mark.slow
 
 CLICKED = re.compile("^At t = ")
-CALLED = "Coulomb friction on p"
+CALLED = "Coulomb friction in the equation of p"
 NAMED = re.compile(rf"{CALLED} \(.* N\) is missing\.")
 PATIENCE = 1000 * HANGS_AFTER  # ms
 # What Chromium writes where the page breaks its own policy.
@@ -99,9 +99,9 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     press_fit(page)
     said = facts(page)
     assert NAMED.search(said)
-    assert "In dp/dt." in said
+    assert "In the equation of p." in said
     assert re.search("(strongest|most clearly visible) at t = ", said)
-    assert "dp/dt lacks a force of" in said
+    assert "The equation of p lacks a force of" in said
     assert f"{CALLED} (" in said
     assert "found" in said and "missing: named" not in said
     assert "Study of spring.csv: q measured in" in said
@@ -120,7 +120,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     offered = time.input_value()
     page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.3 * box["height"])
     expect(time).not_to_have_value(offered)
-    expect(page.get_by_text(CLICKED)).to_contain_text("dp/dt lacks")
+    expect(page.get_by_text(CLICKED)).to_contain_text("the equation of p lacks")
     looked_at = time.input_value()
     assert float(looked_at) > 2.0
     run_shown = page.get_by_label("run", exact=True).input_value()
@@ -314,20 +314,26 @@ def test_an_example_is_worked_through_by_the_keyboard_alone(
     region = page.get_by_role("region", name="Verdict")
     region.get_by_text("What is wrong").wait_for()
     nothing_is_solved(page)
-    press(page, "Add Coulomb friction on w")
+    press(page, "Add Coulomb friction in the equation of speed")
     expect(page.get_by_text("nothing more that is missing").first).to_be_visible()
     nothing_is_solved(page)
     expect(page.get_by_text("Side by side")).to_be_visible()
     assert page.get_by_label("run", exact=True).input_value() == "run 2 (held out)"
     press(page, "Undo")
-    expect(region.get_by_text("Add Coulomb friction on w.", exact=True)).to_be_visible()
+    expect(
+        region.get_by_text("Add Coulomb friction in the equation of speed.", exact=True)
+    ).to_be_visible()
     press(page, "Redo")
     expect(region.get_by_text("Use the model.")).to_be_visible()
     press(page, "Show model 1: base model")
-    expect(region.get_by_text("Add Coulomb friction on w.", exact=True)).to_be_visible()
+    expect(
+        region.get_by_text("Add Coulomb friction in the equation of speed.", exact=True)
+    ).to_be_visible()
     page.set_viewport_size({"width": 390, "height": 844})
     page.get_by_label("compare with").click()
-    page.get_by_role("option", name="2: + Coulomb friction on w").click()
+    page.get_by_role(
+        "option", name="2: + Coulomb friction in the equation of speed"
+    ).click()
     chosen = page.locator(".q-select span", has_text="2: + Coulomb")
     expect(chosen).to_be_visible()
     assert chosen.evaluate("one => one.scrollWidth <= one.clientWidth"), "cut"

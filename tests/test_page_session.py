@@ -412,7 +412,7 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     content = studied.content
     assert content is not None and content.present is not None
     base, larger = content.steps
-    assert larger.label == "coulomb friction on p"
+    assert larger.label == "coulomb friction in the equation of p"
     assert larger.judged is not None and base.judged is not None
     assert larger.judged < 0.8 * base.judged
     told = content.headline
@@ -473,7 +473,7 @@ def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None
     assert larger is not None
     assert [one.name for one in studied.models] == [
         "base model",
-        "+ Coulomb friction on p",
+        "+ Coulomb friction in the equation of p",
     ]
     assert studied.compared == 0
     assert not studied.can_step(1)
@@ -504,7 +504,7 @@ def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None
     assert len(drawn.channels[0].models) == 2
     rows = rows_of([base, larger])
     assert list(rows)[:3] == ["training error", "held-out error", "k"]
-    assert rows["Coulomb friction on p"][0] == ""
+    assert rows["Coulomb friction in the equation of p"][0] == ""
     (law,) = studied.models[1].laws
     assert law.law is not None, "it is drawn through the missing force"
 

@@ -153,14 +153,14 @@ def unexplained(diagnosis: ph.Diagnosis, **changes: Any) -> ph.Diagnosis:
 
 def test_a_diagnosis_says_what_where_when_and_what_to_do(content, study) -> None:
     expected = {
-        "Verdict": r"Found\. Coulomb friction on p \([\d.]+ \+- [\d.]+ N\); the held-out "
+        "Verdict": r"Found\. Coulomb friction in the equation of p \([\d.]+ \+- [\d.]+ N\); the held-out "
         r"error falls from .*",
-        "What is wrong": r"The model has an error of 0\.\d+ m in q .* dp/dt lacks a "
+        "What is wrong": r"The model has an error of 0\.\d+ m in position .* equation of p lacks a "
         r"force of [\d.]+ N \(rms\), [\d.]+ times its standard deviation and .*",
-        "Where": r"In dp/dt\.",
+        "Where": r"In the equation of p\.",
         "When": r"Significant in \d+ % of the record, in both "
         r"training runs; mostly at [\d.]+ Hz\. It is strongest at t = .* of run \d\..*",
-        "What to do next": r"Add coulomb friction on p\. In Python, study\.add .*",
+        "What to do next": r"Add coulomb friction in the equation of p\. In Python, study\.add .*",
     }
     answers = {one.question: str(one) for one in content.diagnoses[0].answers}
     assert list(answers) == list(expected)
@@ -188,10 +188,10 @@ def test_the_first_screen_says_what_was_found_how_sure_and_how_good(
     )
     assert re.fullmatch(
         r"Simulated freely for up to [\d.]+ s, it stays within [\d.]+ m \(rms\) of the "
-        r"measured q: the size of the noise\.",
+        r"measured position: the size of the noise\.",
         answers["How good is the model"].lead,
     )
-    covered = r"The data cover q from -[\d.]+ to [\d.]+ m; measure again .*"
+    covered = r"The data cover position from -[\d.]+ to [\d.]+ m; measure again .*"
     said = answers["What to do next"].detail
     assert re.fullmatch(covered, said)
     ends = [float(one) for one in re.findall(r"-?[\d.]+(?= to| m;)", said)]
@@ -266,7 +266,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
         "What remains: a force is missing; the only effect tried" in headline.sentence
     )
     answers = {fact.question: fact.detail for fact in headline.answers}
-    assert "dp/dt lacks a force of" in answers["What is wrong"]
+    assert "The equation of p lacks a force of" in answers["What is wrong"]
     assert "What to do next" in answers
 
     assert silent.verdict == ph.Verdict.NOTHING_MISSING
@@ -277,7 +277,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
         "There is no evidence that the present model lacks anything."
     )
     assert headline.answers[0].severity == LOOK
-    said = "added, but not established: coulomb friction on p"
+    said = "added, but not established: coulomb friction in the equation of p"
     assert said in str(summary_of(record).parts[-1].text)
     assert said in markdown_report(study_content(record))
     assert study_content(study.record).headline.answers[0].severity == GOOD
@@ -291,10 +291,10 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     tried = r"(none of the \d+ effects tried explains|the only effect tried does not)"
     assert re.match(f"A force is missing; {tried}", headline.sentence)
     answers = {one.question: one.told for one in headline.answers}
-    assert answers["Where"].startswith("In the force on q (dp/dt)")
+    assert answers["Where"].startswith("In the force on position (the equation of p)")
     assert re.match(
         r"Simulated freely for up to 5 s, it stays within 0\.\d+ m \(rms\) of the measured "
-        r"q, [\d.]+ times the noise\. On data not used for fitting; the initial state of "
+        r"position, [\d.]+ times the noise\. On data not used for fitting; the initial state of "
         r"each run is estimated from the whole run; the noise is [\d.]+ m\. In the worst of its 2 runs "
         r"\(run \d\), 0\.\d+ m\.",
         answers["How good is the model"],
@@ -302,10 +302,11 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     wrong = answers["What is wrong"]
     # One scale for error and noise, in numbers that can be compared.
     assert re.search(
-        r"0\.\d+ m in q \(\d+ % of its standard deviation; noise alone \d+ %\)", wrong
+        r"0\.\d+ m in position \(\d+ % of its standard deviation; noise alone \d+ %\)",
+        wrong,
     )
     assert re.search(
-        r"dp/dt lacks a force of [\d.]+ N \(rms\), .* % of the net force in the model",
+        r"The equation of p lacks a force of [\d.]+ N \(rms\), .* % of the net force in the model",
         wrong,
     )
     assert wrong.startswith("The model has an error of 0.")
@@ -315,7 +316,9 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     do = answers["What to do next"]
     assert "No effect of the catalogue explains what is missing." in do
     # The pair predicts a tenth better than p alone, give or take.
-    assert re.search(r"your own term to dp/dt, as a function of (q and )?p\.", do)
+    assert re.search(
+        r"your own term to the equation of p, as a function of (position and )?p\.", do
+    )
     (diagnosed,) = content.diagnoses
     assert headline.answers[: len(diagnosed.answers)] == diagnosed.answers
 
@@ -346,7 +349,8 @@ def test_what_to_do_follows_from_what_the_force_looks_like(
         causes=Causes(shares),
         row=model.states.index("p"),
         variable_words=str,
-        record=SimpleNamespace(model=model, units={}),
+        equation_words="the equation of p",
+        record=SimpleNamespace(model=model, units={}, labels={}),
         follows=pd.DataFrame(row),
     )
     assert expected in str(advice_of_cause(force))
@@ -445,9 +449,9 @@ def test_verdict_table_and_picture_use_the_same_words(page, content, study) -> N
     text = Reader(page).text
     verdict = str(study.diagnose().verdict)
     assert content.headline.status == verdict
-    assert f"<title>Study of q (m): {verdict}</title>" in page
-    for step in study.history["effect"]:
-        assert proper_names(step) in text
+    assert f"<title>Study of position (m): {verdict}</title>" in page
+    for step in content.steps:
+        assert proper_names(step.label) in text
     assert (
         "coulomb friction"
         not in text.split("Reproduce this result")[1].split("Seeds")[0]
@@ -683,7 +687,7 @@ def test_a_second_storage_has_the_same_name_and_value_everywhere() -> None:
     study.add("second heat storage", "T")
     content = study.content()
     rows = {row.name: row for row in content.models[-1].parameters}
-    row = rows["time constant of the second storage on T"]
+    row = rows["time constant of the second storage in the equation of T"]
     told = with_error(row.value, row.std_error, row.unit)
     found = re.match(
         rf"Second heat storage \(time constant {re.escape(told)} and (\S+) ± \S+ times the "

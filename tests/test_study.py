@@ -154,7 +154,7 @@ def test_data_for_the_end_choose_nothing_and_tell_the_error() -> None:
     content = study.content()
     assert told in content.headline.sentence and told in content.errors
     assert content.subtitle.startswith(
-        "q measured in 1 run for fitting, 1 for testing (held out) and 1 for a final"
+        "Position measured in 1 run for fitting, 1 for testing (held out) and 1 for a final"
     )
     assert told in " ".join(str(study).split())
     assert told not in changed.content().headline.sentence
@@ -194,7 +194,7 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(hidden, tmp_path) ->
     assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
     plt.close("all")
     text = hidden.report(tmp_path / "study.md").read_text(encoding="utf-8")
-    assert "coulomb friction on p" in text and "noise floor" in text
+    assert "Coulomb friction in the equation of p" in text and "noise floor" in text
     with pytest.raises(ph.DataError, match=r"\.md or \.txt"):
         hidden.report(tmp_path / "study.pdf")
 

@@ -232,7 +232,7 @@ def test_the_power_of_a_wave_is_the_fall_of_the_squares_by_sine_and_cosine() -> 
 
 def test_sentences_say_size_place_and_cause_with_units(cases) -> None:
     (said,) = cases["wave"].sentences
-    assert "dp/dt lacks a force of 2." in said
+    assert "The equation of p lacks a force of 2." in said
     for part in (" N (rms), ", " Hz", "It depends on time, which explains"):
         assert part in said
 
@@ -469,7 +469,7 @@ def test_a_circuit_lacks_a_voltage_and_knows_no_positions() -> None:
     force = found.force_in()
     assert force.equation == "i"
     said = found.sentences[0]
-    assert "di/dt lacks a voltage of" in said
+    assert "The equation of i lacks a voltage of" in said
     assert "the voltage uC" in said
     figure = plot_where(found)
     labels = [ax.get_xlabel() + ax.get_ylabel() + ax.get_title() for ax in figure.axes]

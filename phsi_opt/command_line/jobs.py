@@ -252,7 +252,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         "history": study.history,
         "final_rmse": [one.rmse for one in study.record.final_comparisons],
         "added": content.added,
-        "unestablished": content.unestablished,
+        "unestablished": [one.name for one in study.record.unestablished],
         "verdict": content.headline.status if job.is_auto else None,
         "answers": [*map(_listed, (discovery, *content.headline.answers))],
         "equations": study.fit.equations(),

@@ -40,7 +40,7 @@ from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import white_system
 from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.presentation.content import Channel
-from phsi_opt.presentation.numbers import label, with_interval
+from phsi_opt.presentation.numbers import called, label, with_interval
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, Scale, scale_of, spaced
 from phsi_opt.statistics import (
@@ -333,11 +333,11 @@ class Comparison(Summarised):
         )
         time = scale_of(self.data.units.get("t", ""))
         panels: list[Panel] = []
-        for one in self.channels(number):
+        for name, one in zip(self.noise, self.channels(number), strict=True):
             std = None
             if self.bands is not None:
-                row = self.model.states.index(one.name)
-                unit = scale_of(self.data.units.get(one.name, ""))
+                row = self.model.states.index(name)
+                unit = scale_of(self.data.units.get(name, ""))
                 std = self.bands[number][:, row] / unit.size
             shown = replace(one, t=time.shown(run.t), std=std)
             panels += channel_panels(shown, ("free run",))
@@ -353,7 +353,7 @@ class Comparison(Summarised):
             measured, shown = map(scale.shown, (run.x[:, k], self.shown[number][:, k]))
             moved, off = map(_known, (measured, measured - shown))
             channel = Channel(
-                name,
+                called(name, self.data.labels),
                 scale.unit,
                 noise / scale.size,
                 run.t,

@@ -41,6 +41,7 @@ BY_NAME: dict[str, tuple[str, Callable[[Any], Any], Callable[[Any], bool], str]]
         lambda sigma: is_size(sigma) and sigma > 0,
         "a positive number in the state's unit; leave it out when it is unknown",
     ),
+    "labels": ("label", str, str.isprintable, "text in one line"),
     "hold": ("hold", str, HOLDS.__contains__, "'linear', 'zero' or 'cubic'"),
 }
 
@@ -180,7 +181,7 @@ def checked_names(
 def checked_by_name(
     given: Mapping[str, Any], names: Sequence[str], what: str
 ) -> dict[str, Any]:
-    """The "units", "noise" or "hold" of channels by their names, in the given order.
+    """What ``what`` says of channels, such as "units", by name, in the given order.
 
     Raises:
         DataError: an entry cannot be used.

@@ -54,7 +54,7 @@ def data_chart(look: DataLook, grounds: Sequence[Ground] = ()) -> Chart:
         for curve in (_line(look, one, x), *_marks(look, one, x)):
             curves.append(replace(curve, name="" if curve.name in told else curve.name))
             told.add(curve.name)
-        name = label(f"{one.name}, input" if one.hold else one.name, one.unit)
+        name = label(f"{one.called}, input" if one.hold else one.called, one.unit)
         panels.append(Panel(name, curves, height=height, scale=FREE))
     n_runs = number_of(len(look.trajectories), "trajectory", "trajectories")
     title = f"{n_runs}, {len(look.t)} samples"

@@ -69,6 +69,8 @@ class Measurements(TableReaders, Summarised):
             inputs; the others are "linear".
         noise: Standard deviations of the measurement noise by state, in the state's
             unit; None, or a state left out: unknown.
+        labels: What people read for states and inputs, by name, such as {"q":
+            "Position"}: the headers of their columns, unless that is no better.
 
     Raises:
         DataError: A name, a value, a unit or a noise level cannot be used.
@@ -81,6 +83,7 @@ class Measurements(TableReaders, Summarised):
     units: Mapping[str, str] = field(default_factory=dict)
     hold: Hold = "linear"
     noise: Mapping[str, float] | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         trajectories = tuple(self.trajectories)
@@ -99,6 +102,7 @@ class Measurements(TableReaders, Summarised):
             "hold": checked_hold(self.hold, inputs),
             "units": dict.fromkeys(names, "") | units,
             "noise": self.noise and checked_by_name(self.noise, states, "noise"),
+            "labels": checked_by_name(self.labels, names[1:], "labels"),
         }
         for name, value in checked.items():
             frozen = MappingProxyType(value) if isinstance(value, dict) else value
@@ -411,7 +415,8 @@ class Measurements(TableReaders, Summarised):
     def computed_look(self) -> DataLook:
         """The clock and every channel in the units in which they are computed."""
         fields = (self.trajectories, self.states, self.inputs, self.units)
-        return DataLook(*fields, tuple(hold_of_each(self.hold, self.inputs)))
+        hold = tuple(hold_of_each(self.hold, self.inputs))
+        return DataLook(*fields, hold, self.labels)
 
     @cached_property
     def look(self) -> DataLook:

@@ -20,7 +20,7 @@ from phsi_opt.data.channel_noise import (
 )
 from phsi_opt.data.trajectory import Trajectory, is_stepped, run_numbers
 from phsi_opt.errors import some_of
-from phsi_opt.presentation.numbers import number_of
+from phsi_opt.presentation.numbers import called, number_of
 from phsi_opt.presentation.units import date_words, spaced, time_words
 
 REGULAR_STEPS = 0.01  # largest deviation of a step, of a clock that is regular
@@ -42,6 +42,11 @@ class ChannelLook:
     @property
     def unit(self) -> str:
         return self.look.units[self.name]
+
+    @property
+    def called(self) -> str:
+        """Its name as people read it."""
+        return called(self.name, self.look.labels)
 
     @cached_property
     def known(self) -> np.ndarray:
@@ -93,6 +98,7 @@ class DataLook:
     inputs: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     hold: tuple[str, ...] = ()
+    labels: Mapping[str, str] = field(default_factory=dict)
 
     def _stacked(self, what: str) -> np.ndarray:
         return np.concatenate([getattr(run, what) for run in self.trajectories])
@@ -239,7 +245,7 @@ class DataLook:
         for one in self.state_looks:
             phrases = "; ".join(self.errors(one))
             if phrases and np.nanstd(one.values) > 0:
-                words.append(f"{one.name}: {phrases}")
+                words.append(f"{one.called}: {phrases}")
         return tuple(words)
 
     def remarks(self, one: ChannelLook) -> Iterator[str]:

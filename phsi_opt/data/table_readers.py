@@ -7,6 +7,7 @@ file is its header, or an integer, its position counted from 0.
 
 import datetime as dt
 import itertools
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
@@ -17,7 +18,7 @@ from phsi_opt.arguments import checked_types, is_size, require_known, types_of
 from phsi_opt.data.binary_tables import table_of_excel, table_of_groups, table_of_mat
 from phsi_opt.data.checks import Hold, check_unique, checked_names
 from phsi_opt.data.file_opening import BinarySource, Source, opened_files
-from phsi_opt.data.headers import unit_of_header
+from phsi_opt.data.headers import OF_MATRIX, Header, unit_of_header
 from phsi_opt.data.tables import Table, numbers_in, rows_of_runs
 from phsi_opt.data.text_tables import TextFormat, table_of_csv
 from phsi_opt.data.times import (
@@ -379,6 +380,7 @@ class TableReaders:
             units=units,
             hold=words.get("hold", "linear"),
             noise=words.get("noise"),
+            labels=_labels(layout, units),
         )
         return made
 
@@ -610,6 +612,25 @@ def _units(
     if faults:
         raise TableError(faults)
     return units
+
+
+def _labels(layout: Layout, units: Mapping[str, str]) -> dict[str, str]:
+    """What headers call states and inputs: a few words, without the unit.
+
+    None that two channels would share, or that is the name of another one.
+    """
+    found = {}
+    channels = {**layout.states, **layout.inputs}
+    for name, column in channels.items():
+        if not isinstance(column, str) or OF_MATRIX.fullmatch(column):
+            continue
+        unit = units.get(name, "").removeprefix("deg")
+        told = Header.of(column).label.removesuffix(f"_{unit}")
+        told = " ".join(told.replace("_", " ").split())
+        if 1 < len(told) <= 30 and told != name:
+            found[name] = told
+    n_uses = Counter([*found.values(), *channels])
+    return {name: told for name, told in found.items() if n_uses[told] == 1}
 
 
 def _contradict(given: str, of_file: str, column: str) -> bool:

@@ -1,6 +1,6 @@
 """What a model may lack, what is known of it, and what is established."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -10,7 +10,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.laws import parameter_words
+from phsi_opt.model.laws import effect_words, parameter_words
 from phsi_opt.model.model import Model
 from phsi_opt.screening.effect_size import Size
 
@@ -21,10 +21,15 @@ LOSS_SOMEWHERE = "a loss of energy whose equation and law the data do not determ
 AT_LIMIT = "the data do not determine it: {} ends at a limit of its range"
 
 
-def at_limit(model: Model, names: Sequence[str], at_bounds: Sequence[str]) -> str:
+def at_limit(
+    model: Model,
+    names: Sequence[str],
+    at_bounds: Sequence[str],
+    labels: Mapping[str, str],
+) -> str:
     """Why an effect is rejected of whose parameters one is at a bound; "": none is."""
     found = [name for name in names if name in at_bounds]
-    return AT_LIMIT.format(parameter_words(model, found[0])) if found else ""
+    return AT_LIMIT.format(parameter_words(model, found[0], labels)) if found else ""
 
 
 class Verdict(StrEnum):
@@ -173,17 +178,18 @@ class Finding:
         return f"{type(self).__name__}({str(self)!r})"
 
     def __str__(self) -> str:
+        return self.words({})
+
+    def words(self, labels: Mapping[str, str]) -> str:
+        """It in a sentence, with the labels of channels."""
         first = self.effects[0]
         size = self.size.words(first)
-        if self.is_name:
-            return f"{first} ({size})"
-        others = ", ".join(map(str, self.effects[1:]))
-        name, where = str(first), ""
-        if all(effect.equation == first.equation for effect in self.effects):
-            name, where = first.name, f" in the equation of {first.equation}"
+        name, *others = (effect_words(one, labels) for one in self.effects)
+        if not others:
+            return f"{name} ({size})"
         return (
-            f"{self.family}{where}: {name} ({size}), which the data cannot "
-            f"distinguish from {others}"
+            f"{self.family}: {name} ({size}), which the data cannot distinguish from "
+            f"{', '.join(others)}"
         )
 
 

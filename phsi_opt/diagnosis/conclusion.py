@@ -50,7 +50,7 @@ from phsi_opt.diagnosis.search import Combination, Search
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.functions import is_function, is_unknown
-from phsi_opt.presentation.numbers import enumerated
+from phsi_opt.presentation.numbers import called, enumerated
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
@@ -238,7 +238,8 @@ class _Judge:
         for one, worth in islice(self.together(search, least), MOST_REFITTED):
             larger = self.refitted(one, thorough=True)
             if isinstance(larger, str):
-                self.base.say(f"{one.name} together are not considered: {larger}")
+                told = self.base.told(*one.effects)
+                self.base.say(f"{told} together are not considered: {larger}")
                 continue
             return _Proposal(
                 search.path(one),
@@ -274,7 +275,8 @@ class _Judge:
         base, fit = self.base.fit.model, larger.fit
         for effect in one.effects:
             new = new_names(base, effect, fit.names)
-            lost = at_limit(fit.model, new, fit.outcome.at_bounds)
+            at_bounds = fit.outcome.at_bounds
+            lost = at_limit(fit.model, new, at_bounds, self.base.labels)
             size = fitted_size(base, fit, effect)
             if lost or not size.z >= SURE_DEVIATIONS:
                 return lost or UNSURE.format(size)
@@ -334,8 +336,8 @@ class _Judge:
             return ""
         function = rivals[evidence.index(highest)]
         return (
-            f"{function.name} is more likely (log evidence {highest:.1f} against "
-            f"{proposal.log_evidence:.1f})"
+            f"{self.base.told(function.effect)} is more likely (log evidence "
+            f"{highest:.1f} against {proposal.log_evidence:.1f})"
         )
 
     def is_worse(self, larger: DiagnosedModel) -> bool:
@@ -375,9 +377,13 @@ class _Judge:
         if not unresolved:
             return ""
         return (
-            f"the quantisation of {', '.join(unresolved)}, whose standard deviation "
+            f"the quantisation of {self.names(unresolved)}, whose standard deviation "
             "is less than one step"
         )
+
+    def names(self, channels: Sequence[str]) -> str:
+        """Channels as people read them."""
+        return ", ".join(called(one, self.base.labels) for one in channels)
 
     # ---- verdicts --------------------------------------------------------------------
 
@@ -388,7 +394,7 @@ class _Judge:
         named = [effect for finding in findings for effect in finding.effects]
         self.reject_others(proposal.effects, named)
         verdict = Verdict.NAMED
-        said = enumerated(map(str, findings))
+        said = enumerated(finding.words(self.base.labels) for finding in findings)
         reason = f"{said}; {self.base.change_words(larger)}; "
         grade = Grade.of(proposal.log_evidence)
         reason += f"{grade} evidence (log evidence {proposal.log_evidence:.1f})"
@@ -457,9 +463,9 @@ class _Judge:
         first = self.candidates[0]
         self.reject_others((first.effect,))
         reason = (
-            f"the nearest is {first.name} ({first.size}; log evidence "
-            f"{first.log_evidence:.1f}): {self.base.change_words(single.larger)}. "
-            f"It is not named: {doubt}"
+            f"the nearest is {self.base.told(first.effect)} ({first.size}; log "
+            f"evidence {first.log_evidence:.1f}): "
+            f"{self.base.change_words(single.larger)}. It is not named: {doubt}"
         )
         return self.diagnosis(Verdict.UNEXPLAINED, reason)
 
@@ -479,7 +485,9 @@ class _Judge:
             reason += f"; it may be {steps}"
         nearest = next((one for one in self.candidates if one.was_weighed), None)
         if nearest is not None and nearest.grade != Grade.NONE:
-            reason += f"; the nearest is {nearest.name}, but {nearest.lost}"
+            reason += (
+                f"; the nearest is {base.told(nearest.effect)}, but {nearest.lost}"
+            )
         return self.diagnosis(Verdict.UNEXPLAINED, reason)
 
     def reject_others(
@@ -494,9 +502,10 @@ class _Judge:
             if one.grade == Grade.NONE:
                 lost = f"there is no evidence for it ({one.log_evidence:.1f})"
             if one.grade == Grade.DECISIVE and first is not None:
-                lost = f"the data cannot distinguish it from {first.name}"
+                told = self.base.told(first.effect)
+                lost = f"the data cannot distinguish it from {told}"
             if first is not None and one.log_evidence < first.log_evidence:
-                lost = f"{first.name} is more likely"
+                lost = f"{self.base.told(first.effect)} is more likely"
             if one.effect in alike:
                 lost = "the data cannot distinguish it from the named effect"
             self.note(place, lost=lost)

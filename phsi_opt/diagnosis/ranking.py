@@ -19,7 +19,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.initialization.relative_guesses import values_at
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.functions import formulas_like, unknown_functions
-from phsi_opt.model.laws import law_of
+from phsi_opt.model.laws import effect_words, law_of
 from phsi_opt.model.parameters import Scan
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
@@ -131,7 +131,8 @@ def lost_of(record: EvidenceRecord, effect: Effect, weighed: Weighed) -> str:
             turns = weighed.model.values[name] * np.ptp(along) / (2 * np.pi)
             if turns < 2:  # what repeats was there before
                 return UNREPEATED.format(turns)
-    return at_limit(weighed.model, names, weighed.at_bounds)
+    labels = record.weighing.aligned.data.labels
+    return at_limit(weighed.model, names, weighed.at_bounds, labels)
 
 
 def force_left(weighed: Weighed, alone: Weighed, equations: Sequence[int]) -> float:
@@ -198,7 +199,7 @@ def _ranked_beside(
             try:
                 weighed = next(results)()
             except SolveError:
-                base.say(f"{one.effect} was skipped: {NO_EVIDENCE}")
+                base.say(f"{base.told(one.effect)} was skipped: {NO_EVIDENCE}")
                 failed = _expected(base, one, NO_EVIDENCE)
                 ranking.candidates.append(replace(failed, log_bayes=np.nan))
                 continue
@@ -283,7 +284,8 @@ def weighed_of(
     record: EvidenceRecord, one: Screened, say: Progress, worth: float = -np.inf
 ) -> Weighed:
     """A candidate weighed from where it was screened, as far as it is worth that."""
-    say(f"computing the evidence of {one.effect}")
+    told = effect_words(one.effect, record.weighing.aligned.data.labels)
+    say(f"computing the evidence of {told}")
     return record.weighed(one.model, one.values, worth)
 
 

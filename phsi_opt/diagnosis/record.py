@@ -4,6 +4,7 @@ What it says is one list of answers, which terminal, notebook, ``--json``, Markd
 report and page print. Their sentences stand in ``words.jinja``.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -24,6 +25,7 @@ from phsi_opt.force_analysis.analysis import (
     where_answer,
 )
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.laws import effect_words, place_words
 from phsi_opt.presentation.content import (
     BAD,
     GOOD,
@@ -100,6 +102,10 @@ class Diagnosis(Summarised):
     def said(self) -> str:
         """The verdict as people read it, with its reason."""
         return f"{verdict_words(self.verdict)}: {self.reason}"
+
+    def told(self, effect: Effect) -> str:
+        """An effect as people read it."""
+        return effect_words(effect, self.data.labels)
 
     @property
     def fit(self) -> Fit:
@@ -356,6 +362,7 @@ def _wrong(diagnosis: Diagnosis) -> Answer:
         __package__,
         "wrong",
         {"channels": off.to_dict("records"), "force": force.where},
+        labels=diagnosis.data.labels,
         judged="data not used for fitting" if is_held_out else "the training data",
         strength=strength_words(force),
     )
@@ -377,7 +384,8 @@ def _where(diagnosis: Diagnosis) -> Answer:
     """Where what was found acts, each place once; else where a force appears."""
     # What it looks like is what the other parameters leave of it.
     effects = chain(*(finding.effects for finding in diagnosis.findings))
-    places = dict.fromkeys(map(_acts, effects))
+    labels = diagnosis.data.labels
+    places = dict.fromkeys(_acts(one, labels) for one in effects)
     if places:
         return Answer(f"{capitalised(' or '.join(places))}.")
     force = diagnosis.analysis.force_in()
@@ -386,12 +394,9 @@ def _where(diagnosis: Diagnosis) -> Answer:
     return where_answer(force)
 
 
-def _acts(effect: Effect) -> str:
-    if effect.slot == "sensor":
-        return f"at the sensor of {effect.equation}"
-    if not effect.equation.isidentifier():
-        return f"along {effect.equation}"
-    return f"in d{effect.equation}/dt"
+def _acts(effect: Effect, labels: Mapping[str, str]) -> str:
+    place = place_words(effect, labels).strip()
+    return f"at the sensor {place}" if effect.slot == "sensor" else place
 
 
 def _next_step(diagnosis: Diagnosis) -> Answer:
@@ -405,12 +410,12 @@ def _next_step(diagnosis: Diagnosis) -> Answer:
         return Answer("Use the model.", f"The data cover {covered}; {again}.")
     if not diagnosis.findings:
         return step_without_name(diagnosis.analysis)
-    firsts = enumerated(str(finding.effects[0]) for finding in diagnosis.findings)
+    firsts = enumerated(diagnosis.told(one.effects[0]) for one in diagnosis.findings)
     is_part = diagnosis.verdict == Verdict.PARTLY_NAMED
     again = ", then diagnose again" if is_part else ""
     apart = []
     for finding in diagnosis.findings:
-        first, *others = map(str, finding.effects)
+        first, *others = map(diagnosis.told, finding.effects)
         if others:
             apart.append(f"{first} from {', '.join(others)}")
     if not apart:
@@ -427,7 +432,7 @@ def _ranges(diagnosis: Diagnosis) -> list[str]:
     found: dict[tuple[str, str], list[float]] = {}
     for data in (diagnosis.data, diagnosis.base.data):
         for one in data.look.channels:
-            found.setdefault((one.name, one.unit), []).extend(one.values[one.known])
+            found.setdefault((one.called, one.unit), []).extend(one.values[one.known])
     covered = [(*key, values) for key, values in found.items() if values]
     return [
         f"{name} from {range_words(min(values), max(values), unit)}"

@@ -42,10 +42,11 @@ from phsi_opt.estimation.maximum_likelihood import from_fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import Effect, is_delay, is_scanned
+from phsi_opt.model.laws import effect_words
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.joint_estimate import STEPS_OF_A_PROBLEM
 from phsi_opt.optimization.ipopt import SolverSettings
-from phsi_opt.presentation.numbers import change_words, decimal
+from phsi_opt.presentation.numbers import change_words, decimal, enumerated
 from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import with_no_size
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -171,6 +172,15 @@ class DiagnosedModel:
         return explained_share(self.judged, larger.judged)
 
     @property
+    def labels(self) -> Mapping[str, str]:
+        """What people read for states and inputs."""
+        return self.record.data.labels
+
+    def told(self, *effects: Effect) -> str:
+        """Effects as people read them."""
+        return enumerated(effect_words(one, self.labels) for one in effects)
+
+    @property
     def error_words(self) -> str:
         """How far the model is off, such as "training error 0.3 m, noise floor ..."."""
         judged = self.judged
@@ -216,13 +226,14 @@ def held_base(
                 changed[name] = other
     gain = likeliest.base.log_evidence - record.base.log_evidence
     evidence = shortest.log_evidence
+    told = base.told(shortest.effect)
     why = (
-        f"that explains what would be {shortest.name} ({shortest.size}) without a "
+        f"that explains what would be {told} ({shortest.size}) without a "
         f"further parameter (log evidence {gain:.0f} against {evidence:.0f})"
     )
     if gain < max(evidence - STRONG_EVIDENCE, STRONG_EVIDENCE):
         gain = _gain_beside(likeliest, record, base, shortest) if changed else 0.0
-        why = f"beside it {shortest.name} is likelier (log evidence {gain:.0f})"
+        why = f"beside it {told} is likelier (log evidence {gain:.0f})"
     if gain < STRONG_EVIDENCE:
         return None
     held = some_of(list(starmap('{} (hold = "{}")'.format, changed.items())))
@@ -272,12 +283,13 @@ def refit(base: DiagnosedModel, candidate: WeighedEffects) -> DiagnosedModel | N
 
     Its free runs are judged beside the noise and the starting states of the base.
     """
-    base.say(f"re-fitting with {candidate.name}")
+    told = base.told(*candidate.effects)
+    base.say(f"re-fitting with {told}")
     try:
         larger = Refitting(base, candidate)
         return base.with_run(larger.with_steps_as_fine_as_its_run(larger.begun()))
     except PhsiOptError:
-        base.say(f"{candidate.name} was skipped: its re-fit failed")
+        base.say(f"{told} was skipped: its re-fit failed")
         return None
 
 

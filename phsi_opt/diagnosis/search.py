@@ -236,7 +236,8 @@ class Search:
 
     def _steps(self, one: Combination) -> Iterator["_Step"]:
         """The model with each further effect, and the log evidence it promises."""
-        self.base.say(f"screening further effects beside {one.name}")
+        told = self.base.told(*one.effects)
+        self.base.say(f"screening further effects beside {told}")
         record = replace(self.ranking.record, base=one.weighed)
         others = [effect for effect in self.effects if str(effect) not in one.key]
         for further in screened_beside(LinearizedRecord.beside_force(record), others):
@@ -259,7 +260,8 @@ class Search:
         known = self.known.get(frozenset(map(str, fewer)))
         if known is not None or not fewer:
             return known
-        self.base.say(f"computing the evidence without {name}")
+        (less,) = (one for one in larger.effects if str(one) == name)
+        self.base.say(f"computing the evidence without {self.base.told(less)}")
         model = reduce(Model.add, fewer, self.ranking.record.base.model)
         values = larger.weighed.model.values
         model = model.with_values({name: values[name] for name in model.values})

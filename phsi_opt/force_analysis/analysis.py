@@ -118,7 +118,8 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
         "force": force,
         "model": model,
         "units": defaultdict(str, force.record.units),
-        "rate": f"d{force.equation}/dt",
+        "rate": force.equation_words,
+        "labels": force.record.labels,
         "partners": exchange_partners(model, force.equation),
         "effort": f"the {effort}" if " " in effort else effort,
     }
@@ -187,7 +188,13 @@ def advice_of_cause(force: EquationForce) -> Answer:
     case = max(shares, key=lambda cause: (shares[cause], cause != "unexplained"))
     model = with_kinds_of_units(force.record.model, force.record.units)
     kind = kind_of(model, force.equation)
-    return _said(force, "advice", case=case, kind=kind, followed=_followed(force))
+    return _said(
+        force,
+        "advice",
+        case=case,
+        kind=kind,
+        followed=_followed(force),
+    )
 
 
 def _followed(force: EquationForce) -> list[str]:

@@ -33,7 +33,7 @@ from phsi_opt.model.expressions import NUMPY, evaluate, names_of
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC
 from phsi_opt.model.parameter_units import drive_of
 from phsi_opt.model.structure import kind_of, position_of_momentum, with_kinds_of_units
-from phsi_opt.presentation.numbers import label
+from phsi_opt.presentation.numbers import called, label
 from phsi_opt.presentation.units import (
     Scale,
     are_alike,
@@ -184,6 +184,15 @@ class EquationForce(Force):
         return lacking_quantity(record.model, self.equation, record.units, self.inertia)
 
     @property
+    def equation_words(self) -> str:
+        """Such as "the equation of p"."""
+        return f"the equation of {self.called(self.equation)}"
+
+    def called(self, name: str) -> str:
+        """A state or an input as people read it."""
+        return called(name, self.record.labels)
+
+    @property
     def position(self) -> str:
         """The position whose rate the effort of the equation is; "" where none is."""
         return position_of_momentum(self.record.model).get(self.equation, "")
@@ -197,7 +206,8 @@ class EquationForce(Force):
 
     def velocity_words(self, position: str) -> str:
         """Such as "velocity of q"; in a circuit it is a current."""
-        return f"{NAMES_OF_PAIRS[kind_of(self.record.model, position)][1]} {position}"
+        words = NAMES_OF_PAIRS[kind_of(self.record.model, position)][1]
+        return f"{words} {self.called(position)}"
 
     def position_of(self, variable: str) -> str:
         """The position whose velocity an effort is; "" for other variables."""
@@ -216,15 +226,15 @@ class EquationForce(Force):
         """A variable as it is called in speech: a velocity by its position."""
         record = self.record
         if name not in record.model.efforts:
-            return name
+            return self.called(name)
         if self.position_of(name):
             return self.velocity_words(self.position_of(name))
         if not record.model.has_energy:
-            return self._states_of_efforts[name]
+            return self.called(self._states_of_efforts[name])
         values = record.variable(name)
         for state in record.model.states:
             if np.allclose(values, record.variable(state)):
-                return state
+                return self.called(state)
         return f"effort {name}"
 
     def scale_of(self, variable: str) -> Scale:

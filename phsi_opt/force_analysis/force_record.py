@@ -4,7 +4,7 @@ All stands at the middle of every interval, where the estimate has the force.
 """
 
 import datetime as dt
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -83,6 +83,11 @@ class ForceRecord:
         """Of states and inputs by name, and of ``t``."""
         units = self.along.data.units
         return {**units, **state_units(self.model, units)}
+
+    @property
+    def labels(self) -> Mapping[str, str]:
+        """What people read for states and inputs."""
+        return self.along.data.labels
 
     @property
     def equations(self) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ def samples_of_each(n_curves: int) -> int:
 def force_of(force: EquationForce, time: Scale) -> Force:
     """All that is drawn of a missing force; ``time`` is the unit of its times."""
     return Force(
-        f"d{force.equation}/dt",
+        force.equation_words,
         force.quantity,
         force_runs(force, TRAINING, time),
         force.record.along.runs.index(force.window.trajectory),
@@ -63,7 +63,7 @@ def force_runs(force: EquationForce, part: str, time: Scale) -> tuple[ForceRun, 
         w = force.w[kept] / scale.size
         std = force.deviation[kept] / scale.size
         origin = record.origin_of(name)
-        known = (name, part, force.equation, force.quantity, scale.unit)
+        known = (name, part, force.equation_words, force.quantity, scale.unit)
         runs.append(ForceRun(*known, t, w, std, origin))
     return tuple(runs)
 
@@ -112,7 +112,7 @@ def _dependence_words(force: EquationForce, variable: str) -> str:
     """How much of the variation of a force a variable predicts."""
     percent = 100 * force.share_of(variable)
     told = force.variable_words(variable)
-    of = f"variation of the {force.quantity} missing in d{force.equation}/dt"
+    of = f"variation of the {force.quantity} missing in {force.equation_words}"
     less = ""
     if variable != TIME_NAME and force.by_parameters.shape[1]:
         less = " (shown after removing what other parameter values could explain)"

@@ -43,6 +43,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain, permutations
 from operator import attrgetter
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -53,7 +54,9 @@ from phsi_opt.model.expressions import needs_brackets
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
 from phsi_opt.model.structure import Role
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.presentation.numbers import called
 
+OF_EQUATION = "in the equation of"
 SECOND_STORAGE = "a storage that is not measured"
 STORAGES = (SECOND_STORAGE, "a spring that yields", "a resonance")
 
@@ -469,6 +472,31 @@ def law_of(name: str) -> Law:
 
 # ---- what people call them -----------------------------------------------------------
 
+
+def effect_words(effect: Effect, labels: Mapping[str, str]) -> str:
+    """An effect as people read it, such as "coulomb friction in the equation of p".
+
+    Args:
+        effect: the effect.
+        labels: what people read for states and inputs, by name.
+    """
+    law = law_of(effect.name)
+    begin = law.name.partition("{")[0]
+    if law in LAWS["forces"] or not effect.name.startswith(begin):
+        begin = effect.name
+    name = begin + called(effect.name.removeprefix(begin), labels)
+    return name if effect.tells_place else name + place_words(effect, labels)
+
+
+def place_words(effect: Effect, labels: Mapping[str, str]) -> str:
+    """Where it acts, such as " in the equation of p"."""
+    place = called(effect.equation, labels)
+    if effect.slot == "sensor":
+        return f" of {place}"
+    is_state = effect.equation.isidentifier()
+    return f" {OF_EQUATION} {place}" if is_state else f" along {place}"
+
+
 # By the first words of a parameter's name what it is called.
 WORDS_OF_PARAMETERS = {"heat exchange": "heat exchange"} | dict.fromkeys(BY_NAME, "")
 for _key, _inner in INNER_PARAMETERS.items():
@@ -477,10 +505,13 @@ for _key, _inner in INNER_PARAMETERS.items():
         WORDS_OF_PARAMETERS[_stem] = _inner.words
 
 
-def parameter_words(model: BaseModel, name: str) -> str:
+def parameter_words(
+    model: BaseModel, name: str, labels: Mapping[str, str] = MappingProxyType({})
+) -> str:
     """A parameter of an effect as people call it; other names stay as they are.
 
-    Such as "coulomb friction on p, speed of transition v0" for coulomb_friction_p.v0.
+    Such as "coulomb friction in the equation of p, speed of transition v0" for
+    coulomb_friction_p.v0; with the labels of channels.
     """
     place, _, body = name.partition("[")
     if name not in model.entries:  # such as one of a run: m[run 3]
@@ -490,11 +521,11 @@ def parameter_words(model: BaseModel, name: str) -> str:
     outer, _, inner = name.rpartition(".")
     if outer:
         told = WORDS_OF_PARAMETERS.get(inner.replace("_", " ")) or inner
-        return f"{parameter_words(model, outer)}, {told}"
+        return f"{parameter_words(model, outer, labels)}, {told}"
     for first, second in permutations(model.states, 2):
         for told in (f" between {first} and {second}", f" from {first} into {second}"):
             if name.endswith(told.replace(" ", "_")):
-                return name[: -len(told)].replace("_", " ") + told
+                return name[: -len(told)].replace("_", " ") + called(told, labels)
     for state in filter(lambda one: name.endswith(f"_{one}"), model.states):
         stem = name.removesuffix(f"_{state}").replace("_", " ")
         kinds = filter(f"{stem} ".startswith, map("{} ".format, WORDS_OF_PARAMETERS))
@@ -504,9 +535,11 @@ def parameter_words(model: BaseModel, name: str) -> str:
             is_variable = rest in (*model.states, *model.inputs)
             # A constant force is none of an input "force".
             is_source = BY_NAME.get(kind) in LAWS["forces"]
-            of = " of" if is_variable and not is_source else ""
-            words = WORDS_OF_PARAMETERS[kind] or kind
-            return f"{words}{of} {rest}".rstrip() + f" on {state}"
+            if is_variable and not is_source:
+                rest = f"of {called(rest, labels)}"
+            words = f"{WORDS_OF_PARAMETERS[kind] or kind} {rest}".rstrip()
+            of_state = "of" if law_of(kind).slot in ("H", "sensor") else OF_EQUATION
+            return f"{words} {of_state} {called(state, labels)}"
     return name
 
 

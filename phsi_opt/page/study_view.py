@@ -119,12 +119,13 @@ class StudyView:
             label = f"Average every {n} samples and fit again"
             self._begins(label, lambda: self._session.average(n), quiet=False)
         if diagnosed.proposed:
-            self._add_button("Add", *diagnosed.proposed)
+            self._add_button("Add", diagnosed, *diagnosed.proposed)
         elif diagnosed.nearest:
-            self._add_button("Try", diagnosed.nearest)
+            self._add_button("Try", diagnosed, diagnosed.nearest)
 
-    def _add_button(self, verb: str, *effects: str) -> None:
-        label = f"{verb} {proper_names(' and '.join(effects))}"
+    def _add_button(self, verb: str, diagnosed: Diagnosed, *effects: str) -> None:
+        words = [one.words for one in diagnosed.ranking if one.effect in effects]
+        label = f"{verb} {proper_names(' and '.join(words))}"
         self._begins(label, partial(self._session.add, *effects), verb != "Add")
 
     # ---- measured and model, and the force that is missing ---------------------------
@@ -331,7 +332,7 @@ class StudyView:
                         label = "Add" if is_proposed else "Add anyway"
                         then = partial(self._session.add, row.effect)
                         add = self._begins(label, then, quiet=True)
-                        named = f"{label} {proper_names(row.effect)}, of the ranking"
+                        named = f"{label} {proper_names(row.words)}, of the ranking"
                         add.props("dense").props["aria-label"] = named
                         if not is_proposed:
                             add.props("flat").props(remove="outline")

@@ -235,7 +235,7 @@ def force_chart(
     x_label = time_label(unit_of_time, forces[0].origin)
     curves = []
     for one, color in zip(forces, cycle(FORCE_COLORS), strict=False):
-        name = f"missing in d{one.equation}/dt"
+        name = f"missing in {one.equation}"
         curves.append(Curve(name, one.t, one.force, color, std=2 * one.std))
     return Chart(x_label, (Panel(y_label, curves),), forces[0].run, mark=mark)
 

@@ -239,7 +239,7 @@ class ForceRun:
 
     run: str
     part: str  # of the data
-    equation: str  # the state whose rate lacks the force
+    equation: str  # that lacks the force, such as "the equation of p"
     quantity: str  # what it is, such as a force, a voltage or a heat flow
     unit: str  # of the force
     t: np.ndarray
@@ -271,7 +271,7 @@ class Follows:
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """The missing force of one equation, such as "dp/dt"."""
+    """The missing force of one equation, such as "the equation of p"."""
 
     equation: str
     quantity: str  # as of its runs
@@ -284,7 +284,7 @@ class Force:
 class Ranked:
     """A candidate effect."""
 
-    effect: str  # such as "coulomb friction on p"
+    effect: str  # its name, such as "coulomb friction on p"
     size: str  # with its standard error and unit, and its other parameters
     evidence: str  # for tables, such as "decisive, log evidence 95"
     # Of the squared error above the noise that it explains; None: not known.
@@ -295,6 +295,7 @@ class Ranked:
     lost: str  # why it is rejected; "" where it is accepted
     odds: str = ""  # how sure it is, in words; "" where it is rejected
     is_likely: bool = False  # by its evidence, more than a random disturbance
+    words: str = ""  # the effect as people read it
 
     def row(self, unit: str) -> Row:
         """Of the table of the candidates; the error on data that judge, if known."""
@@ -303,7 +304,7 @@ class Ranked:
         if error is not None and self.held_out is None:
             words += " on training data"
         return {
-            "Effect": proper_names(self.effect),
+            "Effect": proper_names(self.words or self.effect),
             "Size": typeset(self.size),
             "Evidence": typeset(self.evidence),
             "Explains": "" if self.share is None else f"{100 * self.share:.0f} %",
@@ -354,6 +355,7 @@ class StudyContent:
     unit: str
     errors: str  # where they have got
     models: tuple[Equations, ...]  # base model and present model
+    symbols: str  # what their letters are, where the names do not tell; "" for nothing
     time: Scale  # the unit of all times
     # Of the models whose free runs are shown; the last is the present one.
     names: tuple[str, ...]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from phsi_opt.errors import some_of
 from phsi_opt.presentation.content import Answer, unestablished_words, verdict_words
 from phsi_opt.presentation.numbers import (
+    called,
     capitalised,
     enumerated,
     lowered,
@@ -56,6 +57,7 @@ FILTERS = {
     "proper": proper_names,
     "some_of": some_of,
     "date": date_words,
+    "called": called,
 }
 
 

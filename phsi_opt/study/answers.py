@@ -5,6 +5,7 @@ With those of the diagnosis of the present model they are one list. Terminal, no
 errors shows. Here are the facts; the sentences stand in ``words.jinja``.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -19,7 +20,7 @@ from phsi_opt.errors import some_of
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.laws import is_second_storage, parameter_words
+from phsi_opt.model.laws import is_second_storage, parameter_words, place_words
 from phsi_opt.presentation.content import (
     GOOD,
     LOOK,
@@ -30,6 +31,7 @@ from phsi_opt.presentation.content import (
     lines_of,
     unestablished_words,
 )
+from phsi_opt.presentation.numbers import called as in_words
 from phsi_opt.presentation.numbers import number, said, with_error, with_interval
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.summary import Part, Summary
@@ -66,7 +68,8 @@ def headline_of(study: StudyRecord) -> Headline:
     answers.append(replace(good, question="How good is the model"))
     fit = study.last.cautioned
     warning = "" if study.last.train.warning else study.last.judged.warning
-    cautions = filter(None, (fit.caution, warning, undetermined_words(fit)))
+    open_ = undetermined_words(fit, study.train.labels)
+    cautions = filter(None, (fit.caution, warning, open_))
     return Headline(status, _discovery(study), tuple(answers), " ".join(cautions))
 
 
@@ -83,7 +86,7 @@ def summary_of(study: StudyRecord) -> Summary:
     headline = headline_of(study)
     # A fit tells its own caution.
     caution = headline.caution.removeprefix(study.last.cautioned.caution)
-    names = [one.name for one in study.unestablished]
+    names = [study.told(one.effect) for one in study.unestablished]
     told = [
         headline.sentence,
         *lines_of(headline.answers),
@@ -126,6 +129,7 @@ def said_of(
 ) -> Answer:
     """What ``words.jinja`` says under a name of the study as a whole."""
     size, unit = study.error_scale
+    labels = study.train.labels
     percent = " %" if study.unit == STANDARD_DEVIATIONS else ""  # of several channels
     steps = study.errors(size)
     last = steps[-1]
@@ -138,6 +142,7 @@ def said_of(
         name,
         errors | {"unit": unit} | (numbers or {}),
         study=study,
+        channels=[in_words(name, labels) for name in study.train.measured],
         judged=judged,
         failing=FAILING_ERROR,
         present=study.present,
@@ -161,7 +166,9 @@ def _discovery(study: StudyRecord) -> Answer:
     unsure = []
     for effect in added:
         is_alone = names.count(effect.name) == 1  # in one equation
-        name = effect.name if is_alone else str(effect)
+        name = study.told(effect)
+        if is_alone:
+            name = name.removesuffix(place_words(effect, study.train.labels))
         beside = _beside(study, effect)
         if str(effect) in open_:
             unsure.append(called(name, *beside, open_[str(effect)]))
@@ -176,9 +183,10 @@ def _discovery(study: StudyRecord) -> Answer:
 def _beside(study: StudyRecord, effect: Effect) -> tuple[str, str]:
     """The present size of an effect that was added, and the others of its class."""
     classes = ""
-    for finding in chain(*(one.findings for one in study.diagnoses.values())):
-        if effect in finding.effects:
-            classes = classes or alternatives(finding, str(effect))
+    for diagnosis in study.diagnoses.values():
+        for finding in diagnosis.findings:
+            if effect in finding.effects:
+                classes = classes or alternatives(diagnosis, finding, effect)
     return size_words(study.last.fit, effect, study.size(effect)), classes
 
 
@@ -190,7 +198,8 @@ def finding_words(diagnosis: Diagnosis, finding: Finding) -> str:
     first = finding.effects[0]
     fits = [one.fit for one in diagnosis.ranking if one.fit and one.effect == first]
     words = size_words((fits or [diagnosis.base.fit])[0], first, finding.size)
-    return called(str(first), words, alternatives(finding, str(first)))
+    others = alternatives(diagnosis, finding, first)
+    return called(diagnosis.told(first), words, others)
 
 
 def called(name: str, *beside: str) -> str:
@@ -225,9 +234,9 @@ def _storage_words(fit: Fit, effect: Effect) -> list[str]:
     return [f"time constant {told}", f"{ratio} times the capacity of the first"]
 
 
-def alternatives(finding: Finding, name: str) -> str:
+def alternatives(diagnosis: Diagnosis, finding: Finding, effect: Effect) -> str:
     """The other members of a class; "" where there are none."""
-    others = ", ".join(one for one in map(str, finding.effects) if one != name)
+    others = ", ".join(diagnosis.told(one) for one in finding.effects if one != effect)
     return f"or {others}; the data cannot distinguish them" if others else ""
 
 
@@ -255,12 +264,12 @@ def samples_to_average(diagnosis: Diagnosis) -> int:
     return diagnosis.analysis.force_in().pace.samples_per_cycle
 
 
-def undetermined_words(fit: Fit) -> str:
+def undetermined_words(fit: Fit, labels: Mapping[str, str]) -> str:
     """The parameters whose standard error exceeds their value; "" for none."""
     parameters = fit.parameters
     errors = parameters["std_error"].astype(float)
     is_open = errors.gt(parameters["value"].abs()) & np.isfinite(errors)
-    words = partial(parameter_words, fit.model)
+    words = partial(parameter_words, fit.model, labels=labels)
     names = list(map(words, parameters["name"][is_open]))
     if not names:
         return ""

@@ -1,7 +1,7 @@
 """The content of a study: numbers, arrays and words, in the order of reading."""
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -18,7 +18,9 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.fit import Fit, equation_lines
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.pictures import force_of, force_runs, samples_of_each
+from phsi_opt.model.kinds import MECHANICAL
 from phsi_opt.model.laws import parameter_symbols, parameter_words
+from phsi_opt.model.structure import kind_of, position_of_momentum
 from phsi_opt.model.typeset import typeset_equations
 from phsi_opt.presentation.content import (
     BAD,
@@ -41,7 +43,7 @@ from phsi_opt.presentation.content import (
     thinned,
 )
 from phsi_opt.presentation.numbers import (
-    enumerated,
+    called,
     label,
     number_of,
     proper_names,
@@ -99,13 +101,15 @@ def study_content(
     names = [steps[0].label]
     for k in list(steps)[1:]:
         names.append(f"step {k}: {proper_names(errors[k].change(k))}")
-    models = [_model("Base model", study.steps[0].fit)]
+    labels = study.train.labels
+    models = [_model("Base model", study.steps[0].fit, labels)]
     if last:
-        added = enumerated(map(str, study.last.added))
+        added = study.told(*study.last.added)
         heading = f"Present model: with {added}" if added else "Present model"
-        models.append(_model(heading, study.last.fit))
+        models.append(_model(heading, study.last.fit, labels))
     measured = study.train.measured
     units = (scale_of(study.train.units.get(name, "")).unit for name in measured)
+    channels = [called(name, labels) for name in measured]
     # The run that judges, and its channel, in which the models differ most.
     judging = [run for run in runs if run.part == runs[0].part]  # the first ones
     shown, shown_channel = foremost(judging, lambda one: one.change)
@@ -116,13 +120,14 @@ def study_content(
     errors_told = said_of(study, "how_errors_stand", is_overfitted=is_overfitted)
     headline = headline_of(study)
     return StudyContent(
-        title=study.title or f"Study of {', '.join(map(label, measured, units))}",
+        title=study.title or f"Study of {', '.join(map(label, channels, units))}",
         subtitle=described.lead,
         headline=headline,
         steps=errors,
         unit=unit,
         errors=errors_told.lead,
         models=tuple(models),
+        symbols=_symbols(study, models[-1]),
         time=time,
         names=tuple(names),
         runs=runs,
@@ -138,7 +143,7 @@ def study_content(
         code=_code(study),
         added=tuple(map(str, study.last.added)),
         stopped=stopped_words(study),
-        unestablished=tuple(one.name for one in study.unestablished),
+        unestablished=tuple(study.told(one.effect) for one in study.unestablished),
         hold=study.train.hold,
     )
 
@@ -146,15 +151,31 @@ def study_content(
 # ---- models --------------------------------------------------------------------------
 
 
-def _model(heading: str, fit: Fit) -> Equations:
+def _model(heading: str, fit: Fit, labels: Mapping[str, str]) -> Equations:
     intervals = fit.intervals()
-    rows = [_parameter(fit, row, intervals) for _, row in fit.parameters.iterrows()]
+    rows = []
+    for _, row in fit.parameters.iterrows():
+        rows.append(_parameter(fit, row, intervals, labels))
     lines = tuple(map(short_constants, equation_lines(fit)))
     equations = typeset_equations(fit.model, fit.values, fit.units.get("t", ""))
     return Equations(proper_names(heading), lines, tuple(rows), equations)
 
 
-def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRow:
+def _symbols(study: StudyRecord, present: Equations) -> str:
+    """What the letters in equations are, as far as their names do not tell."""
+    model = study.last.fit.model
+    told = dict(study.train.labels)
+    for momentum, position in position_of_momentum(model).items():
+        is_body = model.has_energy and kind_of(model, position) in ("", MECHANICAL)
+        if is_body and momentum not in study.train.measured:
+            told[momentum] = f"the momentum of {called(position, study.train.labels)}"
+    told |= {one.symbol: one.name for one in present.parameters if one.symbol}
+    return ", ".join(f"{name} is {one}" for name, one in told.items())
+
+
+def _parameter(
+    fit: Fit, row: pd.Series, intervals: pd.DataFrame, labels: Mapping[str, str]
+) -> ParameterRow:
     name = str(row["name"])
     value = float(row["value"])
     std_error = float(row["std_error"])
@@ -176,7 +197,7 @@ def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRo
         std_error = np.nan
     elif row["fixed"]:
         remark = "fixed"
-    told = proper_names(parameter_words(fit.model, name))
+    told = proper_names(parameter_words(fit.model, name, labels))
     symbol = parameter_symbols(fit.model).get(name, "") if "." not in name else ""
     unit = str(row["unit"])
     return ParameterRow(told, value, std_error, *ends, remark, unit, symbol)
@@ -224,7 +245,7 @@ def _run(
 def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
     """The diagnosis of a step's model; ``place``: number of the step."""
     diagnosis = study.diagnoses[place]
-    label = study.steps[place].label
+    label = study.called(study.steps[place].label)
     heading = f"After step {place} ({label})"
     if place == 0:
         heading = f"Base model ({label})".replace(" (base model)", "")
@@ -261,23 +282,25 @@ def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
     for finding in diagnosis.findings:
         names = list(map(str, finding.effects))
         classes |= dict.fromkeys(names, names)
+    words = {one.name: study.told(one.effect) for one in diagnosis.ranking}
     ranked = []
     for one in diagnosis.ranking:
         alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
         alike.pop(one.name, None)
         is_sized = not one.lost or np.isfinite(one.std_error)
-        words = said(one.size.words(one.effect)) if is_sized else NOT_DETERMINED
+        size_words = said(one.size.words(one.effect)) if is_sized else NOT_DETERMINED
         found = Ranked(
             one.name,
-            "; ".join(filter(None, (words, _beside_size(diagnosis, one)))),
+            "; ".join(filter(None, (size_words, _beside_size(diagnosis, one)))),
             evidence_words(one),
             _known(np.clip(one.share, 0.0, 1.0)),
             _known(size * one.train_rmse),
             _known(size * one.held_out_rmse),
-            tuple(alike),
+            tuple(words.get(name, name) for name in alike),
             one.lost,
             "" if one.lost else odds_words(one.log_evidence),
             one.was_weighed and one.log_evidence > 0,
+            words[one.name],
         )
         ranked.append(found)
     return tuple(ranked)
@@ -292,7 +315,8 @@ def _beside_size(diagnosis: Diagnosis, one: Candidate) -> str:
     told = []
     for row in rows:
         size = with_error(row.value, row.std_error, row.unit)
-        told.append(f"{parameter_words(one.fit.model, row.Index)} = {size}")
+        words = parameter_words(one.fit.model, row.Index, diagnosis.data.labels)
+        told.append(f"{words} = {size}")
     return ", ".join(told)
 
 
@@ -308,14 +332,14 @@ def _checks(study: StudyRecord) -> tuple[Check, ...]:
     judged = study.last.judged
     checks: list[Check] = []
     for _, row in judged.table.iterrows():
-        checks += _of_channel(row, judged, study.train.units.get("t", ""))
+        checks += _of_channel(row, judged, study.train)
     fit = study.last.fit
     if study.last.cautioned.caution or not fit.outcome.success:
         severity = LOOK if fit.outcome.success else BAD
         told = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
         checks.append(Check("solver", severity, told))
     if fit.outcome.at_bounds:
-        words = partial(parameter_words, fit.model)
+        words = partial(parameter_words, fit.model, labels=study.train.labels)
         bounds = ", ".join(map(words, fit.outcome.at_bounds))
         checks.append(Check("bounds", LOOK, f"at a bound: {bounds}"))
     checks += (Check("fit", LOOK, remark) for remark in fit.warnings)
@@ -326,8 +350,9 @@ def _checks(study: StudyRecord) -> tuple[Check, ...]:
     return tuple(checks)
 
 
-def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[Check]:
+def _of_channel(row: pd.Series, judged: Comparison, data: Measurements) -> list[Check]:
     """Whether residuals are as small and as random as noise, and for how long."""
+    unit_of_time = data.units.get("t", "")
     ratio = float(row["rmse"]) / float(row["noise_floor"])
     shortest = min(float(run.t[-1] - run.t[0]) for run in judged.data.trajectories)
     horizon = float(row["horizon"]) * scale_of(unit_of_time).size
@@ -358,7 +383,7 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
             sure_level=SURE_LEVEL,
             severity=severity,
         )
-        subject = f"{row['state']}: {SUBJECTS[name]}"
+        subject = f"{called(row['state'], data.labels)}: {SUBJECTS[name]}"
         checks.append(Check(subject, severity, said(told.lead)))
     return checks
 

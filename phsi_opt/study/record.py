@@ -27,12 +27,14 @@ from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.later import Later
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.laws import effect_words
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.presentation.content import ErrorStep, Follows
 from phsi_opt.presentation.numbers import (
     capitalised,
     change_words,
+    enumerated,
     number,
     number_of,
     proper_names,
@@ -178,6 +180,18 @@ class StudyRecord:
         """All measurements, those that are fitted first."""
         return self.train.chart(self.held_out, self.final)
 
+    def told(self, *effects: Effect) -> str:
+        """Effects as people read them."""
+        labels = self.train.labels
+        return enumerated(effect_words(one, labels) for one in effects)
+
+    def called(self, label: str) -> str:
+        """The label of a step, with its effects as people read them."""
+        for step in self.steps:
+            for effect in step.added:
+                label = label.replace(str(effect), self.told(effect))
+        return label
+
     @property
     def last(self) -> Step:
         return self.steps[-1]
@@ -229,13 +243,16 @@ class StudyRecord:
             errors = (size * step.train.rmse, held_out, size * step.judged.noise_floor)
             low, high = step.judged.noise_floor_interval
             ends = (size * low, size * high)
-            found.append(ErrorStep(step.label, *errors, step.fit.bic, ends, final))
+            label = self.called(step.label)
+            found.append(ErrorStep(label, *errors, step.fit.bic, ends, final))
         return tuple(found)
 
     @property
     def history(self) -> "pd.DataFrame":
         """A row per step; NaN where nothing is held out."""
-        rows = [tuple(vars(one).values())[:-2] for one in self.errors()]
+        rows = []
+        for step, one in zip(self.steps, self.errors(), strict=True):
+            rows.append((step.label, one.train, one.held_out, one.floor, one.bic))
         table = printed_table(rows, columns=list(COLUMNS_OF_ERRORS))
         table.insert(0, "step", range(len(rows)))
         table.insert(5, "unit", self.unit)
@@ -296,10 +313,10 @@ class StudyRecord:
             fit = self.fitted(with_no_size(present.model, effect), present)
         if is_worse(fit, present):
             raise SolveError(
-                f"{effect} is not added: with it no fit was found that is as good as "
-                f"the present one (-2 log likelihood {deviance(fit):.6g} against "
-                f"{deviance(present):.6g}), so these data do not show it; try other "
-                "starting values, or another effect."
+                f"{self.told(effect)} is not added: with it no fit was found that is "
+                f"as good as the present one (-2 log likelihood {deviance(fit):.6g} "
+                f"against {deviance(present):.6g}), so these data do not show it; try "
+                "other starting values, or another effect."
             )
         return fit
 
@@ -353,10 +370,11 @@ class StudyRecord:
             variable = _natural_variable(effect, larger)
             record = replace(force.record, model=larger, points=points)
             force = replace(force, record=record)
-        heading = f"{capitalised(force.quantity)} that is missing without {effect}"
+        told = self.told(effect)
+        heading = f"{capitalised(force.quantity)} that is missing without {told}"
         said = (
-            f"The added law: the {force.quantity} missing in d{first}/dt if "
-            f"{effect} is removed from the present model and all other values are kept"
+            f"The added law: the {force.quantity} missing in {force.equation_words} if "
+            f"{told} is removed from the present model and all other values are kept"
         )
         heading, said = map(proper_names, (heading, said))
         return follows_of(force, variable, heading, said, law)

@@ -29,7 +29,6 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
-from phsi_opt.presentation.numbers import enumerated
 from phsi_opt.presentation.summary import Summarised, Summary
 from phsi_opt.screening.effect_size import new_names
 from phsi_opt.study.record import Step, StudyRecord
@@ -266,7 +265,7 @@ class Study(Summarised):
         if present and present.proposed_fit and present.proposed == (effect,):
             return self._add_all(present.proposed, present.proposed_fit)
         found = next((one for one in ranking if one.effect == effect), None)
-        self._say(f"adding {effect}")
+        self._say(f"adding {self.record.told(effect)}")
         if found is None or found.fit is None:
             step = self.record.last
             found = candidate_of(step.train, effect, self.record.loss)
@@ -307,7 +306,7 @@ class Study(Summarised):
             SolveError: the smaller model could not be fitted.
         """
         known = self._added_effect(effect, equation)
-        self._say(f"removing {known}")
+        self._say(f"removing {self.record.told(known)}")
         kept = self._without(known)
         return self._take(f"without {known}", kept, self._fit_with(kept))
 
@@ -381,7 +380,7 @@ class Study(Summarised):
             try:
                 self._add_all(proposed, diagnosis.proposed_fit)
             except SolveError as error:
-                which = enumerated(map(str, proposed))
+                which = self.record.told(*proposed)
                 return self._stop(f"{said}; {which} could not be added: {error}")
             self._check_earlier(earlier)
         return self._stop(
@@ -554,7 +553,7 @@ class Study(Summarised):
         """Add effects that were fitted together, a step each."""
         if fit is None:
             return self.add(effects[0])
-        self._say(f"adding {enumerated(map(str, effects))}")
+        self._say(f"adding {self.record.told(*effects)}")
         added = (*self.added, *effects)
         label = str(effects[-1])
         present = self.record.present
@@ -572,15 +571,17 @@ class Study(Summarised):
         record = self.record
         for effect in earlier:
             kept = self._without(effect)
+            told = record.told(effect)
             try:
                 fit = self._fit_with(kept, BRIEF)
                 gain = record.evidence(fit) - record.evidence(self.fit)
             except PhsiOptError as error:
-                self._say(f"{effect} stays: no fit of the model without it ({error})")
+                self._say(f"{told} stays: no fit of the model without it ({error})")
                 continue
             names = new_names(fit.model, effect, self.fit.names)
-            lost = at_limit(self.fit.model, names, self.fit.outcome.at_bounds)
+            at_bounds = self.fit.outcome.at_bounds
+            lost = at_limit(self.fit.model, names, at_bounds, self.train.labels)
             if gain > 0 or lost:
-                self._say(f"{effect} is removed: {lost or 'it has become superfluous'}")
+                self._say(f"{told} is removed: {lost or 'it has become superfluous'}")
                 fit = thorough_fit(record.training, record.loss, fit)
                 self._take(f"without {effect}", kept, fit)

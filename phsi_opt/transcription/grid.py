@@ -445,6 +445,7 @@ def aligned(model: Model, data: Measurements) -> Measurements:
         states=tuple(model.states),
         inputs=tuple(model.inputs),
         units={name: unit for name, unit in data.units.items() if name in kept},
+        labels={name: one for name, one in data.labels.items() if name in kept},
         hold=hold,
     )
 
