@@ -92,6 +92,22 @@ def autocorrelation_time(series: Sequence[np.ndarray]) -> float:
     return max(float(tau), 1.0)
 
 
+def autocorrelation(series: Sequence[np.ndarray], n_lags: int) -> np.ndarray:
+    """Autocorrelation of several series with a mean of zero, (n_lags + 1,).
+
+    ``r_k = sum_i e_i e_(i+k) / sum_i e_i^2`` over all series (n_samples,), where both
+    values are known; as many lags at most as the longest series has, and NaN where all
+    values are zero.
+    """
+    n_lags = min(n_lags, max(map(len, series), default=1) - 1)
+    products = np.zeros(n_lags + 1)
+    for values in series:
+        known = np.nan_to_num(values)
+        for lag in range(min(n_lags + 1, len(known))):
+            products[lag] += known[lag:] @ known[: len(known) - lag]
+    return products / products[0] if products[0] > 0 else np.full(n_lags + 1, np.nan)
+
+
 def self_convolved(values: np.ndarray) -> np.ndarray:
     """Sums of products of a series (n,) with itself shifted, (2 n - 1,)."""
     n_shifts = max(2 * len(values) - 1, 0)

@@ -42,7 +42,7 @@ def test_a_model_without_free_parameters_gets_noise_and_states_alone(
     assert "noise: q" in str(fit)
     assert len(fit.parameters) == len(fit.intervals()) == 0
     assert fit.correlations.shape == fit.covariance.shape == (0, 0)
-    assert "No parameter was estimated" in fit.plot().get_title()
+    assert "No parameter was estimated" in fit.plot_parameters().get_title()
     plt.close("all")
     fit.save(tmp_path / "fit.json")
     loaded = ph.Fit.load(tmp_path / "fit.json")

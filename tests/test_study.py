@@ -177,6 +177,34 @@ def test_the_noise_given_to_a_study_holds_for_the_candidates_too(hidden) -> None
     assert study.add("coulomb friction", "p").noise == {"q": 0.08}
 
 
+def test_a_fit_draws_itself_and_knows_what_it_leaves(hidden, tmp_path) -> None:
+    fit = hidden.fit
+    compared = hidden.compare("training").residuals
+    for own, known in zip(fit.residuals, compared, strict=True):
+        np.testing.assert_allclose(own, known, atol=1e-8)
+    _, ax = plt.subplots()
+    assert fit.plot(ax, trajectory="run 2") is ax
+    measured, free = (line.get_ydata() for line in ax.get_lines()[:2])
+    np.testing.assert_allclose(measured - free, fit.residuals[1][:, 0], atol=1e-8)
+    base = hidden.steps[0].fit.autocorrelation(n_lags=5)
+    runs = [run[:, 0] for run in hidden.steps[0].fit.residuals]
+    e = np.concatenate(runs)
+    neighbours = sum(float(one[1:] @ one[:-1]) for one in runs)
+    assert base["q"][1] == pytest.approx(neighbours / (e @ e))
+    white = 1.96 / np.sqrt(len(e))
+    assert base["q"][1] > 3 * white > 1.5 * abs(fit.autocorrelation()["q"][1:]).max()
+    axes = fit.plot_autocorrelation()
+    assert axes.get_xlabel() == "lag (samples)"
+    (said,) = axes.get_legend().get_texts()
+    assert said.get_text() == "95 % of white noise"
+    fit.save(tmp_path / "fit.json")
+    loaded = ph.Fit.load(tmp_path / "fit.json")
+    for ask in (loaded.plot, loaded.autocorrelation, lambda: loaded.residuals):
+        with pytest.raises(ph.DataError, match=r"ph\.compare\(fit, data\)"):
+            ask()
+    plt.close("all")
+
+
 def test_pictures_use_the_axes_given_and_the_report_is_text(hidden, tmp_path) -> None:
     _, ax = plt.subplots()
     assert hidden.compare().plot(ax) is ax
@@ -186,6 +214,11 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(hidden, tmp_path) ->
     assert hidden.compare().plot(free) is free
     assert free.get_position().y0 > free.figure.axes[1].get_position().y1
     assert hidden.diagnose().plot().get_xlabel() == "t (s)"
+    assert hidden.plot(plt.figure().add_subplot()).get_title() == "run 5 (held out)"
+    with pytest.raises(ph.DataError, match="no trajectory 'run 9'; there are 6: run 5"):
+        hidden.plot(trajectory="run 9")
+    with pytest.raises(ph.DataError, match="state 'p' is not measured; expected one"):
+        hidden.plot(state="p")
     effects = ["base model", "coulomb friction on p and sensor delay on q", "no drag"]
     _, axes = plt.subplots(figsize=(7.0, 3.8), layout="constrained")
     draw(axes, errors_chart([ErrorStep(one, 1.0, 1.0, 0.5) for one in effects], "m"))

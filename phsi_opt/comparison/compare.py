@@ -22,13 +22,20 @@ from phsi_opt.criteria import (
     WHITE_ERROR,
 )
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.estimation.fit import Fit, parameter_matrix
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.free_runs import (
+    Parameters,
+    Runs,
+    WithResiduals,
+    channels,
+    free_runs,
+    parameter_matrix,
+    plot_run,
+)
 from phsi_opt.estimation.identify import fit_of
 from phsi_opt.estimation.noise_estimation import LEAST_COUNTED
 from phsi_opt.estimation.record import (
-    Parameters,
     Record,
-    free_runs,
     leaving_words,
     smoothed_states,
 )
@@ -40,7 +47,7 @@ from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import white_system
 from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.presentation.content import Channel
-from phsi_opt.presentation.numbers import called, label, with_interval
+from phsi_opt.presentation.numbers import with_interval
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, Scale, scale_of, spaced
 from phsi_opt.statistics import (
@@ -59,8 +66,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from phsi_opt.presentation.charts import Panel
-
 
 # Standard deviations of the noise beyond which one residual ends the horizon of a free
 # run: among 1e4 values normal noise gets there once or not at all.
@@ -68,7 +73,7 @@ HORIZON_RESIDUAL = 4.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Summarised):
+class Comparison(WithResiduals, Summarised):
     """A free run compared with the measurements.
 
     Attributes:
@@ -102,6 +107,10 @@ class Comparison(Summarised):
     def data(self) -> Measurements:
         """The measurements, in the model's order."""
         return self.record.data
+
+    @property
+    def _residuals(self) -> tuple[Measurements, Runs]:
+        return self.data, self.residuals
 
     @property
     def sigma(self) -> np.ndarray:
@@ -323,47 +332,25 @@ class Comparison(Summarised):
         Raises:
             DataError: There is no such trajectory.
         """
-        from phsi_opt.presentation.charts import Chart, channel_panels, drawn
-
         number = self.data.trajectory_number(trajectory)
         run = self.data.trajectories[number]
         title = (
             f"Free run of {run.name}: rmse {self.rmse:.3g}, "
             f"noise floor {self.noise_floor:.3g} (all runs)"
         )
-        time = scale_of(self.data.units.get("t", ""))
-        panels: list[Panel] = []
+        found = []
         for name, one in zip(self.noise, self.channels(number), strict=True):
             std = None
             if self.bands is not None:
                 row = self.model.states.index(name)
                 unit = scale_of(self.data.units.get(name, ""))
                 std = self.bands[number][:, row] / unit.size
-            shown = replace(one, t=time.shown(run.t), std=std)
-            panels += channel_panels(shown, ("free run",))
-        return drawn(Chart(label("t", time.unit), tuple(panels)), title, ax)
+            found.append(replace(one, std=std))
+        return plot_run(self.data, found, number, title, ax)
 
     def channels(self, number: int) -> list[Channel]:
         """Every measured channel along the trajectory of a number, in its unit."""
-        run = self.data.trajectories[number]
-        channels = []
-        for name, noise in self.noise.items():
-            k = self.model.states.index(name)
-            scale = scale_of(self.data.units.get(name, ""))
-            measured, shown = map(scale.shown, (run.x[:, k], self.shown[number][:, k]))
-            moved, off = map(_known, (measured, measured - shown))
-            channel = Channel(
-                called(name, self.data.labels),
-                scale.unit,
-                noise / scale.size,
-                run.t,
-                measured,
-                (shown,),
-                (rms(off) if len(off) else None,),
-                float(np.std(moved)) if len(moved) else 0.0,
-            )
-            channels.append(channel)
-        return channels
+        return channels(self.data, self.shown, self.noise, number)
 
     def _summary(self) -> Summary:
         unit = f" {self.error_unit}" if self.error_unit else ""

@@ -25,8 +25,9 @@ from scipy.optimize import brentq
 from phsi_opt.arguments import require_known, require_share, typed
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
-from phsi_opt.estimation.fit import Fit, parameter_matrix, parameters_of
+from phsi_opt.estimation.fit import Fit, parameters_of
 from phsi_opt.estimation.fit_file import digest_of
+from phsi_opt.estimation.free_runs import parameter_matrix
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.record import Record, likelihood_of, maximum_along, steps_on
 from phsi_opt.interrupts import interruptible

@@ -20,11 +20,19 @@ from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, shown, some_of
 from phsi_opt.estimation.fit_file import (
+    NOT_IN_FILES,
     Content,
     check_keys,
     decoded,
     encoded,
     read_json,
+)
+from phsi_opt.estimation.free_runs import (
+    Runs,
+    WithResiduals,
+    channels,
+    free_runs,
+    plot_run,
 )
 from phsi_opt.estimation.identified import DIGITS, Identified
 from phsi_opt.export.targets import exported_path
@@ -52,6 +60,7 @@ from phsi_opt.presentation.summary import (
 from phsi_opt.presentation.units import scale_of, spaced
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.statistics import TINY
+from phsi_opt.transcription.grid import checked_data
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.writing import write_whole
 
@@ -116,7 +125,7 @@ class FitUncertainty:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Fit(Identified, Summarised):
+class Fit(Identified, WithResiduals, Summarised):
     """A fitted model: values, standard errors, solver's outcome and provenance.
 
     ``print(fit)`` shows the equations with standard errors, the outcome and warnings.
@@ -127,7 +136,10 @@ class Fit(Identified, Summarised):
       ``sympy()`` and ``casadi()`` with the fitted numbers.
     - Simulation: ``simulate(t, x0, u)``; ``model`` is the fitted model,
       ``model_of(trajectory)`` that of one trajectory.
-    - Forms: ``print(fit)``, ``plot()``, ``save(path)`` and ``Fit.load(path)``.
+    - Residuals: ``residuals``, ``autocorrelation()``, and ``plot()``, which draws the
+      measurements with the free run of the fit.
+    - Forms: ``print(fit)``, ``plot_parameters()``, ``save(path)`` and
+      ``Fit.load(path)``.
     - For others: ``export(path)`` writes C, an FMU, Modelica or MATLAB; ``program`` is
       the nonlinear program.
     - Reliability: ``outcome`` says how the solver ended; read ``warnings`` before you
@@ -166,6 +178,7 @@ class Fit(Identified, Summarised):
             (``model_error=True``).
         doubts: What ``caution`` says, worked out when it is first asked for.
         remade_program: Makes ``program``.
+        data: The measurements of the fit, in the model's order; None for a loaded fit.
     """
 
     names: tuple[str, ...] = ()
@@ -184,7 +197,10 @@ class Fit(Identified, Summarised):
     huber: float | None = None
     has_model_error: bool = False
     doubts: Later[str] = field(default_factory=partial(Later.known, ""))
-    remade_program: Remade[Program] = field(default_factory=Remade)
+    remade_program: Remade[Program] = field(
+        default_factory=Remade, metadata=NOT_IN_FILES
+    )
+    data: Measurements | None = field(default=None, metadata=NOT_IN_FILES)
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -514,6 +530,60 @@ class Fit(Identified, Summarised):
             )
         return self.remade_program.work()
 
+    # ---- along the measurements of the fit -------------------------------------------
+
+    @cached_property
+    def _along(self) -> tuple[Measurements, Runs, Runs]:
+        """Measurements, what the sensors show in a free run, and the residuals."""
+        if self.data is None:
+            raise DataError(
+                "a fit that was read from a file has no measurements; give them: "
+                "ph.compare(fit, data) has their residuals and draws them."
+            )
+        aligned = checked_data(self.model, self.data)
+        starts = self.states or [np.nan_to_num(run.x) for run in aligned.data]
+        parameters = parameters_of(self, aligned.data)
+        found = free_runs(self.model, aligned, starts, parameters)
+        return aligned.data, *found[1:]
+
+    @property
+    def _residuals(self) -> tuple[Measurements, Runs]:
+        data, _, residuals = self._along
+        return data, residuals
+
+    @property
+    def residuals(self) -> Runs:
+        """Measured minus free run, (n_samples, n_states) per trajectory.
+
+        The free run begins at the estimated state; NaN where nothing was measured.
+
+        Raises:
+            DataError: The fit was read from a file, without its measurements.
+        """
+        return self._along[2]
+
+    def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
+        """Draw the fit: measurements and free run, the residuals below them.
+
+        The band of the residuals covers two standard deviations of the noise; `compare`
+        draws a band of the prediction, and other measurements.
+
+        Args:
+            ax: Axes whose place is divided among the states; None: a new figure.
+            trajectory: Name of the trajectory, or its number, counted from 0.
+
+        Returns:
+            The axes; ``fit.plot().figure.savefig("fit.png")`` stores the picture.
+
+        Raises:
+            DataError: There is no such trajectory, or the fit was read from a file.
+        """
+        data, shown, _ = self._along
+        number = data.trajectory_number(trajectory)
+        found = channels(data, shown, self.noise, number)
+        title = f"Fit of {data.trajectories[number].name}"
+        return plot_run(data, found, number, title, ax)
+
     # ---- as file, picture and text ---------------------------------------------------
 
     def save(self, path: str | Path) -> None:
@@ -661,7 +731,7 @@ class Fit(Identified, Summarised):
         )
         return replace(fit, hold=hold, uncertainty=Later.known(uncertainty))
 
-    def plot(self, ax: "Axes | None" = None) -> "Axes":
+    def plot_parameters(self, ax: "Axes | None" = None) -> "Axes":
         """Draw every estimate with its 95 % interval.
 
         Intervals are drawn in percent of the estimate's absolute value; the labels give
@@ -673,7 +743,7 @@ class Fit(Identified, Summarised):
             ax: Axes to draw on; None: a new figure.
 
         Returns:
-            The axes; ``fit.plot().figure.savefig("fit.png")`` stores the picture.
+            The axes of the picture.
         """
         from phsi_opt.presentation.pictures import plot_estimates
 
@@ -707,14 +777,6 @@ def parameters_of(fit: Fit, data: Measurements) -> dict[str, dict[str, float]]:
     means = {name: fit.values[name] for name in fit.model.free}
     own = fit.by_trajectory
     return {run.name: means | dict(own.get(run.name, {})) for run in data.trajectories}
-
-
-def parameter_matrix(
-    model: Model, per_trajectory: Mapping[str, Mapping[str, float]]
-) -> np.ndarray:
-    """Free parameters as columns, (n_free, n_trajectories), of values by trajectory."""
-    rows = [[one[name] for one in per_trajectory.values()] for name in model.free]
-    return np.array(rows, dtype=float).reshape(len(rows), len(per_trajectory))
 
 
 def lasting_noise(

@@ -16,7 +16,7 @@ import numpy as np
 
 from phsi_opt.data.checks import Hold
 from phsi_opt.errors import DataError, PhsiOptError
-from phsi_opt.later import Later, Remade
+from phsi_opt.later import Later
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Scan, Share, Tried
 from phsi_opt.model.slots import BY_EQUATION
@@ -27,6 +27,7 @@ from phsi_opt.reading import file_text, why_not_read
 Result = TypeVar("Result")
 Content = dict[str, Any]
 
+NOT_IN_FILES = {"in_file": False}  # says a field that no file has
 KINDS: dict[str, type[Model]] = {
     "PseudoHamiltonian": PseudoHamiltonian,
     "FirstOrder": FirstOrder,
@@ -63,9 +64,7 @@ def encoded(value: Any) -> Any:
     if isinstance(value, Scan | Share | Tried):
         return [type(value).__name__, *vars(value).values()]
     if is_dataclass(value):
-        known = {one.name: getattr(value, one.name) for one in fields(value)}
-        kept = {k: one for k, one in known.items() if not isinstance(one, Remade)}
-        return encoded(kept)
+        return {name: encoded(getattr(value, name)) for name in _kept_fields(value)}
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -114,8 +113,8 @@ def decoded(kind: Any, value: Any) -> Any:
     if origin is tuple and isinstance(value, list):
         return tuple(decoded(args[0], one) for one in value)
     if isinstance(kind, type) and is_dataclass(kind):
-        hints = get_type_hints(kind)
-        hints = {k: one for k, one in hints.items() if get_origin(one) is not Remade}
+        every = get_type_hints(kind)
+        hints = {name: every[name] for name in _kept_fields(kind)}
         check_keys(value, hints)
         return kind(**{name: decoded(hints[name], v) for name, v in value.items()})
     if kind is str and isinstance(value, Mapping):
@@ -129,6 +128,11 @@ def decoded(kind: Any, value: Any) -> Any:
     if type(value) is not kind:
         raise TypeError(f"{value!r} is not of type {kind.__name__}")
     return value
+
+
+def _kept_fields(record: Any) -> list[str]:
+    """Names of the fields of a record that a file has."""
+    return [one.name for one in fields(record) if one.metadata.get("in_file", True)]
 
 
 def check_keys(content: Mapping[str, Any], known: Iterable[str]) -> None:

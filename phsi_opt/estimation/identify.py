@@ -120,7 +120,8 @@ def fit_of_task(
     estimate = estimate_by(loss, task, start)
     if raise_on_failure:
         _raise_failure(estimate)
-    fit = replace(estimate.fit(), seconds=time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    fit = replace(estimate.fit(), seconds=seconds, data=task.aligned.data)
     return replace(fit, doubts=Later(partial(doubts_of, fit, task.aligned)))
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.fit import Fit, lasting_noise, parameter_matrix, parameters_of
+from phsi_opt.estimation.fit import Fit, lasting_noise, parameters_of
+from phsi_opt.estimation.free_runs import parameter_matrix
 from phsi_opt.estimation.noise_estimation import NoiseLevels
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import first_point

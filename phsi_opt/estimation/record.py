@@ -11,20 +11,18 @@ transcription that are too long for a fast motion hide that an optimum is none: 
 accurate run shows it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
 from operator import attrgetter
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.noticed import breaks_of
-from phsi_opt.errors import SolveError
 from phsi_opt.estimation.estimate import Task
-from phsi_opt.estimation.fit import Fit, lasting_noise, parameter_matrix, parameters_of
+from phsi_opt.estimation.fit import Fit, lasting_noise, parameters_of
+from phsi_opt.estimation.free_runs import Parameters, Runs, free_runs, parameter_matrix
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.missing_force import (
@@ -37,7 +35,6 @@ from phsi_opt.estimation.optimum_checks import finer_steps
 from phsi_opt.initialization.relative_guesses import fast_motion
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
-from phsi_opt.simulation.simulate import free_run
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import (
@@ -48,12 +45,9 @@ from phsi_opt.transcription.grid import (
 )
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.sensors import outputs_at_samples
 
 # The noise is known and the start is near, so a brief solve is enough.
 BRIEF_SOLVE = SolverSettings(max_iterations=60, thorough=False)
-Runs = tuple[np.ndarray, ...]  # (n_samples, n_states) each
-Parameters = Mapping[str, Mapping[str, float]]  # free ones, by trajectory and name
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,38 +324,6 @@ def steps_on(fit: Fit, data: Measurements) -> tuple[np.ndarray, ...]:
 
 
 # ---- free runs -----------------------------------------------------------------------
-
-
-def free_runs(
-    model: Model,
-    aligned: AlignedData,
-    states: Sequence[np.ndarray],
-    parameters: Parameters,
-) -> tuple[Runs, Runs, Runs]:
-    """Simulated states, what the sensors show of them, and measured minus shown.
-
-    Numbers far beyond the measurements stand for a run that broke off.
-    """
-    data = aligned.data
-    simulated = []
-    for run, known in zip(data.trajectories, states, strict=True):
-        own = model.with_values(parameters[run.name])
-        ends = [0, *(breaks_of(run) + 1), run.n_samples]
-        pieces = []
-        for begin, end in pairwise(ends):
-            x0 = known[begin]
-            try:
-                t, u = run.t[begin:end], run.u[begin:end]
-                x = free_run(own, t, x0, u, data.hold)
-            except SolveError:
-                is_first = np.arange(end - begin)[:, None] == 0
-                x = np.where(is_first, x0, 1e3 * np.nanstd(run.x))
-            pieces.append(x)
-        simulated.append(np.vstack(pieces))
-    theta = parameter_matrix(model, parameters)
-    shown = outputs_at_samples(model, aligned.grid, simulated, theta)
-    residuals = [run.x - y for run, y in zip(data.trajectories, shown, strict=True)]
-    return tuple(simulated), tuple(shown), tuple(residuals)
 
 
 def leaving_words(model: Model, data: Measurements, residuals: Runs) -> str:

@@ -118,6 +118,7 @@ class Panel:
     curves: Sequence[Curve]
     # Half the width of the band that noise fills; None: no band.
     noise: float | None = None
+    band: str = "noise, two standard deviations"  # what the band is called
     height: float = 1.0  # relative to the other panels
     # of the axis: ``FROM_ZERO``, ``LOG``, ``FREE``, or "": with a line at zero
     scale: str = ""
@@ -369,7 +370,7 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
             shaded.add(span.shade)
     if panel.noise is not None:
         band = ax.axhspan(-panel.noise, panel.noise, color=FLOOR, alpha=0.2, lw=0)
-        band.set_label("noise, two standard deviations")
+        band.set_label(panel.band)
     ax.set_ylabel(_short(panel.label))
     ax.margins(y=0.25)
     if panel.scale == LOG:

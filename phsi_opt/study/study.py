@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phsi_opt.arguments import require_choice, require_count, typed
+from phsi_opt.arguments import require_choice, require_count, require_known, typed
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
@@ -20,7 +20,14 @@ from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.experiments import Experiment, next_experiment
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import BRIEF, thorough_fit
-from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
+from phsi_opt.errors import (
+    DataError,
+    ModelError,
+    PhsiOptError,
+    SolveError,
+    shown,
+    some_of,
+)
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identifiability import cautions
 from phsi_opt.interrupts import interruptible
@@ -149,7 +156,8 @@ class Study(Summarised):
     @property
     def fit(self) -> Fit:
         """The present fit."""
-        return self.record.last.cautioned
+        fit = self.record.last.cautioned
+        return fit if fit.data is not None else replace(fit, data=self.train)
 
     @property
     def model(self) -> Model:
@@ -452,6 +460,45 @@ class Study(Summarised):
         noise_floor, the unit of these errors, bic (NaN for a fit by `PHSILoss`).
         """
         return self.record.history
+
+    def plot(
+        self,
+        ax: "Axes | None" = None,
+        trajectory: str | int | None = None,
+        state: str | None = None,
+    ) -> "Axes":
+        """Draw measurements and free runs of base and present model.
+
+        The residuals are below, with two standard deviations of the noise.
+
+        Args:
+            ax: Axes to draw on; None: a new figure.
+            trajectory: its name or its number among the held-out runs, then those for
+                fitting; default: where base and present model differ most.
+            state: the measured state; default: the one in which they differ most.
+
+        Raises:
+            DataError: there is no such trajectory or state.
+        """
+        from phsi_opt.presentation.charts import drawn, run_chart
+
+        content = self.content()
+        runs = content.runs
+        if trajectory is None:
+            trajectory = content.shown
+        named = [one.name for one in runs]
+        number = named.index(trajectory) if trajectory in named else trajectory
+        if not isinstance(number, int) or not -len(runs) <= number < len(runs):
+            raise DataError(
+                f"there is no trajectory {shown(trajectory)}; there are {len(runs)}: "
+                f"{some_of(named)}."
+            )
+        states = [one.name for one in runs[number].channels]
+        if state is None:
+            state = states[content.shown_channel]
+        require_known(state, states, f"state {shown(state)} is not measured", DataError)
+        chart = run_chart(content, runs[number], states.index(state))
+        return drawn(chart, chart.title, ax)
 
     def plot_history(self, ax: "Axes | None" = None) -> "Axes":
         """Training and held-out error per step, with the noise floor."""

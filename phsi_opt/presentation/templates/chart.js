@@ -125,8 +125,8 @@ function phsiChart(host, chart) {
       return curve.look === "band" ? `<span>${key}</span>` :
         `<button type="button" aria-pressed="${!hidden.has(name)}" data-name="${plain(name)}">${key}</button>`;
     });
-    if (chart.panels.some((panel) =>
-      panel.noise)) keys.push('<span><i class="noise"></i>noise, two standard deviations</span>');
+    const noisy = chart.panels.find((panel) => panel.noise);
+    if (noisy) keys.push(`<span><i class="noise"></i>${plain(noisy.band)}</span>`);
     for (const [name, color] of new Map(chart.spans.map((span) => [span.shade, span.color]))) {
       if (name) keys.push(`<span><i style="border-top: solid 9px ${color}55"></i>${plain(name)}</span>`);
     }
