@@ -23,6 +23,7 @@ from phsi_opt.command_line.job import (
     COMPARE,
     DIAGNOSE,
     EXPERIMENT,
+    EXPORT,
     FIT,
     GO_THROUGH,
     MEANINGS,
@@ -530,6 +531,32 @@ def test_no_command_diagnoses_again_what_one_before_it_diagnosed(
     text = diagnosed.read_text()
     diagnosed.write_text(text.replace('"quadratic drag", ', ""))
     assert EVIDENCE in lines_and_answer(DIAGNOSE, diagnosed)[0], "other effects"
+
+
+@pytest.mark.slow
+def test_every_figure_and_its_numbers_are_written(
+    diagnosed: Path, tmp_path: Path
+) -> None:
+    assert said("export", diagnosed).code == ExitCode.BAD_INPUT  # no kind of file
+    folder = tmp_path / "figures"
+    options: Any = {"figures": folder, "kinds": ("csv", "svg", "png")}
+    lines, answer = lines_and_answer(EXPORT, diagnosed, **options)
+    assert EVIDENCE not in lines  # the diagnosis is taken up
+    names = {path.name for path in folder.iterdir()}
+    assert names == {Path(one).name for one in answer.content["files"]}
+    kinds = {"csv", "svg", "png"}
+    for name in ("errors", "measurements", "run_2_held_out_q", "run_1_training_q"):
+        assert {f"{name}.{kind}" for kind in kinds} <= names
+    table = pd.read_csv(folder / "run_1_training_q.csv")
+    lost = table["measured, q (m)"] - table["base model, q (m)"]
+    assert np.allclose(lost, table["base model, residual (m)"])
+    measured = pd.read_csv(folder / "measurements.csv")
+    known = pd.read_csv(diagnosed.with_name("friction_spring.csv"))
+    for run, own in known.groupby("run"):
+        drawn = measured[measured["run"] == run]
+        assert np.allclose(drawn["t (s)"], own["t_s"], atol=1e-6)
+        assert np.allclose(drawn["q (m)"], own["position_m"])
+    assert (folder / "errors.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow

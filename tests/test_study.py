@@ -215,10 +215,12 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(hidden, tmp_path) ->
     assert free.get_position().y0 > free.figure.axes[1].get_position().y1
     assert hidden.diagnose().plot().get_xlabel() == "t (s)"
     assert hidden.plot(plt.figure().add_subplot()).get_title() == "run 5 (held out)"
-    with pytest.raises(ph.DataError, match="no trajectory 'run 9'; there are 6: run 5"):
+    with pytest.raises(ph.DataError, match="no trajectory 'run 9'; there are 5: run 4"):
         hidden.plot(trajectory="run 9")
     with pytest.raises(ph.DataError, match="state 'p' is not measured; expected one"):
         hidden.plot(state="p")
+    with pytest.raises(ph.DataError, match="kind 'jpg' of file; expected one of csv"):
+        hidden.export_figures(tmp_path, ["jpg"])
     effects = ["base model", "coulomb friction on p and sensor delay on q", "no drag"]
     _, axes = plt.subplots(figsize=(7.0, 3.8), layout="constrained")
     draw(axes, errors_chart([ErrorStep(one, 1.0, 1.0, 0.5) for one in effects], "m"))

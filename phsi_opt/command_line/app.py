@@ -173,17 +173,36 @@ def diagnose(
 @app.command()
 def export(
     file: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
-            help="The new file: .fmu, .c, .mo (Modelica) or .m (MATLAB).",
+            help="The new file: .fmu, .c, .mo (Modelica) or .m (MATLAB); of figures "
+            "the folder, by default figures.",
             metavar="FILE",
         ),
-    ],
+    ] = None,
     study: StudyPath = Path(STUDY_NAME),
     saved: Saved = None,
+    csv: Annotated[
+        bool, typer.Option("--csv", help="Write the numbers of each figure.")
+    ] = False,
+    svg: Annotated[bool, typer.Option("--svg", help="Each figure as SVG.")] = False,
+    png: Annotated[bool, typer.Option("--png", help="Each figure as PNG.")] = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Each figure as PDF.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write the fitted model for other programs, with the effects added so far."""
+    """Write the fitted model for other programs, or the figures of the report."""
+    asked = {"csv": csv, "svg": svg, "png": png, "pdf": pdf}
+    kinds = tuple(filter(asked.__getitem__, asked))
+    if kinds and saved is not None:
+        raise typer.BadParameter("--fit has no figures; leave it out.")
+    if kinds:
+        figures = file or Path("figures")
+        do(Job(EXPORT, study, figures=figures, kinds=kinds), as_json)
+    if file is None:
+        raise typer.BadParameter(
+            "name the file of the model, such as model.fmu, or a kind of figures: "
+            "--csv, --svg, --png or --pdf."
+        )
     with told_errors(as_json):
         exported_path(file)
     do(Job(EXPORT, study, fit=saved, export=file), as_json)

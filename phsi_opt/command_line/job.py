@@ -66,6 +66,8 @@ class Job:
     reach: Reach = Reach.DECISIVE  # how clear an effect has to be that is added
     plan: "ExperimentPlan | None" = None  # of `EXPERIMENT`
     export: Path | None = None  # where the model is written; or None
+    figures: Path | None = None  # the folder in which figures are written
+    kinds: tuple[str, ...] = ()  # of the files of a figure
 
     @property
     def places(self) -> list[Path]:

@@ -64,6 +64,9 @@ def run(job: Job, tell: Tell) -> Answer:
         answer = _diagnose_answer(study.diagnose(), job)
     elif job.kind == EXPERIMENT and job.plan is not None:
         answer = _experiment_answer(study, job.plan)
+    elif job.figures is not None:
+        study.diagnose()
+        answer = _export_answer(study.export_figures(job.figures, job.kinds))
     elif job.kind == EXPORT:
         answer = _exported(study.fit, study.record.last.held_out, job)
     else:
@@ -229,6 +232,11 @@ def _ranges(text: str, units: Mapping[str, str], option: str) -> tuple[str, Any]
     scale = scale_of(units.get(name.strip(), ""))
     read = [float(scale.read(number)) for number in numbers]
     return name.strip(), read[0] if len(read) == 1 else tuple(read)
+
+
+def _export_answer(paths: list[Path]) -> Answer:
+    files = list(map(str, paths))
+    return Answer("\n".join([f"{len(files)} files:", *files]), {"files": files})
 
 
 def _listed(one: Told) -> dict[str, Any]:

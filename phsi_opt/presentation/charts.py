@@ -15,6 +15,7 @@ from textwrap import wrap
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -289,11 +290,55 @@ def rounded(curve: np.ndarray) -> list[float | None]:
     return [round(one, n_decimals) if math.isfinite(one) else None for one in values]
 
 
+def numbers_of(chart: Chart) -> pd.DataFrame:
+    """The numbers of a chart, as its button saves them: a row for each place.
+
+    A column for each curve and for half of each band; of runs that share the axis the
+    run and its time.
+    """
+    columns: dict[str, pd.Series] = {}
+    for panel, curve in ((p, c) for p in chart.panels for c in p.curves):
+        name = ", ".join(filter(None, (curve.name or curve.group, panel.label)))
+        table = pd.DataFrame({"x": curve.x, name: curve.y})
+        if curve.std is not None:
+            table[f"{name}, half of the band"] = curve.std
+        table = table.dropna(subset=[name])
+        if chart.ticks and not chart.spans:
+            table = table[table["x"] % 1 == 0]  # of the steps themselves
+        if curve.look != POINTS:  # of a jump the value after it
+            table = table.drop_duplicates("x", keep="last")
+        table["nth"] = table.groupby("x").cumcount()
+        columns |= dict(table.set_index(["x", "nth"]).items())
+    found = pd.DataFrame(columns).sort_index().reset_index(level="x")
+    x = found.pop("x").to_numpy()
+    if not chart.spans:
+        found.insert(0, chart.x_label or "step", x)
+        return found.reset_index(drop=True)
+    runs = np.full(len(x), "", dtype=object)
+    times = np.full(len(x), np.nan)
+    for one in chart.spans:
+        inside = (x >= one.low) & (x <= one.high)
+        share = (x[inside] - one.low) / (one.high - one.low)
+        times[inside] = one.begin + share * (one.end - one.begin)
+        runs[inside] = one.name
+    n_decimals = 9 - int(np.log10(max(np.nanmax(np.abs(times)), 1.0)))
+    found.insert(0, chart.time, times.round(n_decimals))
+    found.insert(0, "run", runs)
+    return found.reset_index(drop=True)
+
+
 # ---- by matplotlib -------------------------------------------------------------------
 
 
 def svg(chart: Chart, width: float = 7.2) -> str:
     """A chart as the text of an SVG file; as wide as a page, or less (inches)."""
+    return saved(chart, "svg", width).decode()
+
+
+def saved(chart: Chart, kind: str, width: float = 7.2) -> bytes:
+    """A chart as a file: ``csv`` for its numbers, or ``svg``, ``png``, ``pdf``."""
+    if kind == "csv":
+        return numbers_of(chart).to_csv(index=False).encode()
     with rc_context(STYLE):
         figure = Figure(figsize=_size(chart, width), layout="constrained")
         ax = drawn(chart, ax=figure.add_subplot())
@@ -301,10 +346,10 @@ def svg(chart: Chart, width: float = 7.2) -> str:
             if line.get_linestyle() == "None":  # each of many points takes 100 letters
                 line.set_rasterized(np.size(line.get_xdata()) > 300)
         set_title(ax, _short(chart.title), loc="left", fontsize=10)
-        text = io.StringIO()
-        unwritten = {"Date": None, "Creator": None}
-        figure.savefig(text, dpi=150, format="svg", metadata=unwritten)
-    return text.getvalue()
+        content = io.BytesIO()
+        unwritten = {"Date": None, "Creator": None} if kind == "svg" else {}
+        figure.savefig(content, dpi=150, format=kind, metadata=unwritten)
+    return content.getvalue()
 
 
 def _size(chart: Chart, width: float) -> tuple[float, float]:

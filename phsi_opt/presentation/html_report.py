@@ -32,7 +32,7 @@ TEMPLATES = "templates"
 NO_WORD = re.compile(r"[^\w ]")
 
 
-def _places(
+def charts_of(
     content: StudyContent, data: Chart | None
 ) -> tuple[dict[str, Chart], dict[str, list[list[Chart]]]]:
     """By the names of their places: the charts that are shown first, and several.
@@ -61,9 +61,28 @@ def _places(
     return charts, several
 
 
+def figures_of(content: StudyContent, data: Chart) -> dict[str, Chart]:
+    """Every figure of a report, of all runs and channels, by a name for its file."""
+    charts, several = charts_of(content, data)
+    found = {"errors": charts["staircase"], "measurements": data}
+    for run, of_run in zip(content.runs, several["measured"], strict=True):
+        for channel, chart in zip(run.channels, of_run, strict=True):
+            found[f"{run.title} {channel.name}"] = chart
+    for k in range(len(content.laws)):
+        found[f"law {k + 1}"] = charts[f"law-{k}"]
+    for f, diagnosed in enumerate(content.diagnoses):
+        for k, force in enumerate(diagnosed.forces):
+            name = f"missing force {f} {force.equation}"
+            found[f"{name} follows"] = charts[f"force-{f}-{k}-follows"]
+            along = several[f"force-{f}-{k}-time"]
+            for one, (chart,) in zip(force.runs, along, strict=True):
+                found[f"{name} {one.run}"] = chart
+    return {re.sub(r"\W+", "_", name).strip("_"): one for name, one in found.items()}
+
+
 def html_report(content: StudyContent, data: Chart | None = None) -> str:
     """The whole report as the text of an HTML file, with a chart of all its data."""
-    charts, several = _places(content, data)
+    charts, several = charts_of(content, data)
 
     def picture(name: str, width: float) -> str:
         """An address that holds the picture for paper, of a width in inches."""

@@ -87,15 +87,16 @@ def study_content(
     *,
     forces: bool = False,
     written: str = "",
+    most: int | None = None,
 ) -> StudyContent:
-    """What is told of a study."""
+    """What is told of a study; of each run so many samples are drawn at most."""
     data = filter(None, (study.train, study.held_out))
     longest = max(float(run.t[-1]) for part in data for run in part)
     time = scale_of_time(longest, study.train.units.get("t", ""))
     last = len(study.steps) - 1
     # Whose free runs are drawn: base, first, last.
     steps = {k: study.steps[k] for k in sorted({0, min(1, last), last})}
-    runs = _runs(study, list(steps.values()), time)
+    runs = _runs(study, list(steps.values()), time, most)
     size, unit = study.error_scale
     errors = study.errors(size)
     names = [steps[0].label]
@@ -206,7 +207,9 @@ def _parameter(
 # ---- measurements beside free runs ---------------------------------------------------
 
 
-def _runs(study: StudyRecord, steps: Sequence[Step], time: Scale) -> tuple[Run, ...]:
+def _runs(
+    study: StudyRecord, steps: Sequence[Step], time: Scale, most: int | None
+) -> tuple[Run, ...]:
     """The trajectories that are drawn, at most 200, those held out first."""
     held_out = [step.held_out for step in steps if step.held_out is not None]
     parts = {HELD_OUT: held_out, TRAINING: [step.train for step in steps]}
@@ -214,7 +217,7 @@ def _runs(study: StudyRecord, steps: Sequence[Step], time: Scale) -> tuple[Run, 
     for part, compared in parts.items():
         places += [(part, k) for k in range(len(compared[0].data) if compared else 0)]
     places = places[:200]
-    most = samples_of_each(len(places) * len(study.last.judged.noise))
+    most = most or samples_of_each(len(places) * len(study.last.judged.noise))
     return tuple(_run(part, parts[part], k, most, time) for part, k in places)
 
 

@@ -41,12 +41,13 @@ from phsi_opt.screening.effect_size import new_names
 from phsi_opt.study.record import Step, StudyRecord
 from phsi_opt.sweeps.sweep import Progress, silent
 from phsi_opt.transcription.losses import MaximumLikelihood
-from phsi_opt.writing import write_whole, written_path
+from phsi_opt.writing import make_folder, write_whole, written_path
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
+KINDS = ("csv", "svg", "png", "pdf")  # of files of a figure
 REPORT_SUFFIXES = (".html", ".md", ".txt")
 # What an earlier study found of the last step, by the effects to consider; None: none.
 Recall = Callable[[StudyRecord, EffectChoice], Diagnosis | None]
@@ -568,6 +569,43 @@ class Study(Summarised):
         today = f"{dt.date.today()}"
         content = study_content(self.record, self.record.laws(), written=today)
         return write_whole(place, html_report(content, self.record.data_chart()))
+
+    @typed
+    @interruptible
+    def export_figures(
+        self, folder: str | Path, kinds: Sequence[str] = ("csv", "svg")
+    ) -> list[Path]:
+        """Write every figure of the report into files, and return their paths.
+
+        Args:
+            folder: of the files; it is made where it is not there.
+            kinds: of the files: "csv" has the numbers of a figure, "svg", "png" and
+                "pdf" are the figure itself.
+
+        Raises:
+            DataError: there is no such kind, or a file cannot be written.
+
+        Examples:
+            >>> paths = study.export_figures("figures", ["csv"])
+            >>> print(paths[0].name)
+            errors.csv
+        """
+        from phsi_opt.presentation.charts import saved
+        from phsi_opt.presentation.html_report import figures_of
+        from phsi_opt.study.content import study_content
+
+        for kind in kinds:
+            require_known(kind, KINDS, f"kind {shown(kind)} of file", DataError)
+        every = 10**9  # samples: none is left out
+        content = study_content(self.record, self.record.laws(), most=every)
+        place = Path(folder)
+        make_folder(place)
+        paths = []
+        for name, chart in figures_of(content, self.record.data_chart()).items():
+            for kind in dict.fromkeys(kinds):
+                path = place / f"{name}.{kind}"
+                paths.append(write_whole(path, saved(chart, kind)))
+        return paths
 
     def content(self, *, forces: bool = False) -> StudyContent:
         """The contents of a report: numbers, arrays and words.
