@@ -24,6 +24,7 @@ from phsi_opt.estimation.fit import Fit as Fit
 from phsi_opt.estimation.identifiability import Identifiability as Identifiability
 from phsi_opt.estimation.identifiability import identifiability as identifiability
 from phsi_opt.estimation.identify import identify as identify
+from phsi_opt.estimation.prediction import Prediction as Prediction
 from phsi_opt.model.blocks import BlockDiagram as BlockDiagram
 from phsi_opt.model.blocks import blocks as blocks
 from phsi_opt.model.catalogue import catalogue as catalogue

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -189,3 +190,32 @@ def test_it_is_told_what_to_do_where_a_run_is_flat() -> None:
         "it would be meaningless. Check the sign of each term, and choose other "
         "starting values for the parameters."
     )
+
+
+def test_a_prediction_for_new_inputs_is_as_uncertain_as_its_parameters() -> None:
+    t = np.linspace(0, 4, 200)
+    u = np.ones((200, 1))
+    rng = np.random.default_rng(5)
+    law = ph.FirstOrder(
+        ["x"], {"x": ph.formula("(b*u - x)/tau", b=2.0, tau=0.8)}, ["u"]
+    )
+    x = ph.simulate(law, t, [0.0], u) + rng.normal(0, 0.05, (200, 1))
+    data = ph.Measurements.from_arrays(t, x, u, states=["x"], inputs=["u"])
+    free: Any = {"b": ph.Parameter(1.0), "tau": ph.Parameter(1.0, lower=0)}
+    model = ph.FirstOrder(["x"], {"x": ph.formula("(b*u - x)/tau", **free)}, ["u"])
+    fit = ph.identify(model, data)
+    t, u = np.linspace(0, 3, 50), np.full((50, 1), 3.0)
+    found = fit.predict(t, [0.0], u)
+    b, tau = fit.values["b"], fit.values["tau"]
+    decay = np.exp(-t / tau)
+    np.testing.assert_allclose(found.states[:, 0], 3 * b * (1 - decay), rtol=1e-5)
+    # The slopes of the closed form in b and tau.
+    slopes = np.array([3 * (1 - decay), -3 * b * decay * t / tau**2])
+    order = [fit.names.index(name) for name in ("b", "tau")]
+    covariance = fit.covariance[np.ix_(order, order)]
+    std = np.sqrt(np.einsum("it,ij,jt->t", slopes, covariance, slopes))
+    np.testing.assert_allclose(found.std[:, 0], std, rtol=1e-3, atol=1e-9)
+    ax = found.plot(plt.figure().add_subplot())
+    (line,) = [one for one in ax.get_lines() if one.get_label() == "prediction"]
+    np.testing.assert_array_equal(line.get_ydata(), found.states[:, 0])
+    plt.close("all")

@@ -35,6 +35,7 @@ from phsi_opt.estimation.free_runs import (
     plot_run,
 )
 from phsi_opt.estimation.identified import DIGITS, Identified
+from phsi_opt.estimation.prediction import Prediction
 from phsi_opt.export.targets import exported_path
 from phsi_opt.later import Later, Remade
 from phsi_opt.model.directions import factors_of
@@ -134,8 +135,8 @@ class Fit(Identified, WithResiduals, Summarised):
       ``intervals(level)``, ``correlations``, ``noise``, ``bic``.
     - Equations: ``equations()`` and ``latex()`` in the names of the parameters;
       ``sympy()`` and ``casadi()`` with the fitted numbers.
-    - Simulation: ``simulate(t, x0, u)``; ``model`` is the fitted model,
-      ``model_of(trajectory)`` that of one trajectory.
+    - Simulation: ``simulate(t, x0, u)``, and with a band ``predict(t, x0, u)``;
+      ``model`` is the fitted model, ``model_of(trajectory)`` that of one trajectory.
     - Residuals: ``residuals``, ``autocorrelation()``, and ``plot()``, which draws the
       measurements with the free run of the fit.
     - Forms: ``print(fit)``, ``plot_parameters()``, ``save(path)`` and
@@ -499,6 +500,64 @@ class Fit(Identified, WithResiduals, Summarised):
                 f"trajectory {shown(trajectory)} has no parameters of its own in this "
                 f"fit; known are {known}."
             )
+
+    def predict(
+        self, t: Any, x0: Any, u: Any = None, trajectory: str | int | None = None
+    ) -> Prediction:
+        """Simulate for new inputs, with the standard deviation of the states.
+
+        To first order in the parameters theta, with their covariance C::
+
+            var x(t) = dx/dtheta C dx/dtheta'
+
+        by central differences along the directions of C. A parameter whose covariance
+        is not known is taken as exact.
+
+        Args:
+            t: (n_samples,) times, as in `simulate`.
+            x0: (n_states,) states at ``t[0]``, taken as exact.
+            u: (n_samples, n_inputs) inputs, or a function of the time; None: none.
+            trajectory: Name or number of the trajectory whose own parameters are meant;
+                None: the means over the trajectories.
+
+        Returns:
+            The states with their standard deviation; ``plot()`` draws the band.
+
+        Raises:
+            DataError: The trajectory has no parameters of its own in this fit.
+            SolveError: The simulation broke off before the last time.
+
+        Examples:
+            >>> found = fit.predict([0.0, 0.5, 1.0], x0=[1.0, 0.0])
+            >>> print(found.states.shape, found.std[0].tolist())
+            (3, 2) [0.0, 0.0]
+        """
+        states = self.simulate(t, x0, u, trajectory)
+        model = self.model if trajectory is None else self.model_of(trajectory)
+        run = "" if trajectory is None else self._trajectory_name(trajectory)
+        variances = dict(zip(self.names, np.diag(self.covariance), strict=True))
+        known = {}  # names of the model, with those of the estimates
+        for name in model.free:
+            estimate = name if name in variances else f"{name}[{run}]"
+            if variances.get(estimate, 0.0) > 0:
+                known[name] = self.names.index(estimate)
+        places = list(known.values())
+        covariance = self.covariance[np.ix_(places, places)]
+        sd = np.sqrt(np.diag(covariance))
+        sizes, directions = np.linalg.eigh(covariance / np.outer(sd, sd))
+        short = 0.01  # of a standard deviation: far above the tolerance of the solver
+        variance = np.zeros_like(states)
+        for size, direction in zip(np.maximum(sizes, 0.0), directions.T, strict=True):
+            step = dict(zip(known, short * np.sqrt(size) * sd * direction, strict=True))
+            ends = []
+            for sign in (1.0, -1.0):
+                values = {n: model.values[n] + sign * s for n, s in step.items()}
+                moved = model.with_values(values)
+                ends.append(simulate(moved, t, x0, u, hold=self.hold))
+            variance += ((ends[0] - ends[1]) / (2 * short)) ** 2
+        times = np.asarray(t, dtype=float)
+        std = np.sqrt(variance)
+        return Prediction(times, states, std, self.model.states, self.units)
 
     @property
     def program(self) -> Program:

@@ -110,6 +110,7 @@ RESULTS = {
     "Diagnosis",
     "Finding",
     "Fit",
+    "Prediction",
     "Profile",
 }
 RESULTS |= {"Complaint", "Verdict", "Model", "StudyFile"}
