@@ -68,9 +68,9 @@ def _spans(
     scale = scale_of_time(float(np.abs(look.t).max()), look.units["t"])
     spans = []
     for k, (run, ground) in enumerate(zip(look.trajectories, grounds, strict=True)):
-        ends = x[look.run == k][[0, -1]].tolist()
-        times = (run.t[[0, -1]] / scale.size).tolist()
-        spans.append(Span(run.name, *ends, *times, *ground))
+        low, high = x[look.run == k][[0, -1]].tolist()
+        begin, end = (run.t[[0, -1]] / scale.size).tolist()
+        spans.append(Span(run.name, low, high, begin, end, *ground))
     return tuple(spans), label("t", scale.unit)
 
 

@@ -308,7 +308,8 @@ def numbers_of(chart: Chart) -> pd.DataFrame:
         if curve.look != POINTS:  # of a jump the value after it
             table = table.drop_duplicates("x", keep="last")
         table["nth"] = table.groupby("x").cumcount()
-        columns |= dict(table.set_index(["x", "nth"]).items())
+        placed = table.set_index(["x", "nth"])
+        columns |= {str(one): placed[one] for one in placed}
     found = pd.DataFrame(columns).sort_index().reset_index(level="x")
     x = found.pop("x").to_numpy()
     if not chart.spans:
