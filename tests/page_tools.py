@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Page
 
 from problems.examples.friction_spring import CSV
 from tests.waiting import HANGS_AFTER, wait_for
@@ -132,6 +134,17 @@ def _is_up(address: str) -> bool:
             return True
     except OSError:
         return False
+
+
+def faults(page: Page) -> list[str]:
+    """What keeps people from using a page, by axe-core: serious and critical faults."""
+    found = Axe().run(page).response["violations"]
+    told = []
+    for one in found:
+        places = [node["html"][:200] for node in one["nodes"]]
+        if one["impact"] in ("serious", "critical"):
+            told.append(f"{one['help']}: {places}")
+    return told
 
 
 def contrast(one: str, other: str) -> float:

@@ -165,8 +165,8 @@ def test_each_step_is_told_and_an_executor_weighs_the_candidates(drag) -> None:
         "estimating what is missing",
         "estimating what is missing together with the model",
         "screening 3 candidate effects",
-        "computing the evidence of quadratic drag in the equation of p",
-        "computing the evidence of cubic drag in the equation of p",
+        "computing the evidence of quadratic drag in the equation of p (1 of 2)",
+        "computing the evidence of cubic drag in the equation of p (2 of 2)",
         "re-fitting with quadratic drag in the equation of p",
     ]
     assert len(counted.begun) > 0

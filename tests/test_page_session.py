@@ -6,9 +6,11 @@ import os
 import re
 import signal
 import sys
+import time
 import weakref
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from runpy import run_path
 from typing import Any
@@ -28,7 +30,7 @@ from phsi_opt.page.drafts import (
 from phsi_opt.page.guards import UploadLimit
 from phsi_opt.page.parts import complaint_words, words
 from phsi_opt.page.serve import is_loopback, serve
-from phsi_opt.page.session import Session
+from phsi_opt.page.session import Job, Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import beside, rows_of
 from phsi_opt.page.worker import Shown, Turns, waits
@@ -328,7 +330,7 @@ def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     assert "'kk' is not known here" in words["model.H"]
     assert "Did you mean 'k'?" in words["model.H"]
     assert words["model.R.p"].startswith("Loss R of p")
-    assert words["parameters.k.lower"].startswith("Least k")
+    assert words["parameters.k.lower"].startswith("Lower bound of k")
     assert unknown_names(session.complaints) == ["kk"]
     session.draft.model.table["R"]["p"] = "d"
     session.draft.model.table["F"]["p"] = "f*v0"
@@ -422,6 +424,32 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     assert content.forces and not content.present.forces
     ranked = {row.effect: row for row in content.present.ranking}
     assert ranked["quadratic drag on p"].size == "size not determined"  # at a limit
+
+
+def test_the_time_that_remains_is_told_from_the_steps_that_are_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    job = Job(partial(print), "Fitting the base model", began=100.0)
+    told = []
+    for line, seconds in (
+        ("screening 26 candidate effects", 4.0),
+        ("computing the evidence of drag (1 of 4)", 6.0),
+        ("computing the evidence of friction (2 of 4)", 2.0),
+        ("computing the evidence of a gap (3 of 4)", 0.0),
+        ("re-fitting with friction", 1.0),
+    ):
+        job.take(line)
+        told.append(job.times)
+        now[0] += seconds
+    assert told == [
+        "0:00",  # what is not counted is not guessed
+        "0:04",
+        "0:10, at most 0:18 more for these 4",
+        "0:12, at most 0:08 more for these 4",
+        "0:12",
+    ]
 
 
 def test_it_is_told_whether_a_model_is_diagnosed_or_will_be(studied: Session) -> None:

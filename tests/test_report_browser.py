@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import matplotlib.pyplot as plt
@@ -26,7 +27,7 @@ from phsi_opt.presentation.content import (
 )
 from phsi_opt.presentation.html_report import html_report, in_css
 from phsi_opt.presentation.units import Scale
-from tests.page_tools import browser_path
+from tests.page_tools import browser_path, faults
 from tests.waiting import HANGS_AFTER
 
 NAMES = ("base model", "with friction")
@@ -192,6 +193,13 @@ def test_no_text_of_a_chart_covers_another_or_is_cut(report: Page, width: int) -
     # Numbers whose last digits alone differ are told apart.
     labels = report.locator("#data-chart text[text-anchor=end]").all_text_contents()
     assert len(set(labels)) == len(labels) > 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("colours", ["light", "dark"])
+def test_everybody_can_use_a_report(report: Page, colours: Any) -> None:
+    report.emulate_media(color_scheme=colours)
+    assert faults(report) == []
 
 
 @pytest.mark.slow

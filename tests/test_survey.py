@@ -176,6 +176,7 @@ def test_the_parts_of_columns_follow_from_their_names_and_values(table: Path) ->
         },
         **{"force": wave + 1.05, "Ta": wave + 2, "level": np.where(n < 30, 1.0, 2.0)},
         **{"still": 0 * n + 3.5},
+        **{"supply [V]": np.where(n % 9 == 4, np.nan, np.where(n < 30, 6.0, 9.0))},
     )
     assert remarks(seen) == {
         "t [s]": ("time", "0 to 5.9"),
@@ -190,11 +191,16 @@ def test_the_parts_of_columns_follow_from_their_names_and_values(table: Path) ->
         "Ta": ("state", "1 to 3; possibly an input"),
         "level": ("input", "1 to 2; constant between jumps: held"),
         "still": ("left out", "always 3.5"),
+        "supply [V]": (
+            "input",
+            "6 to 9, 7 cells missing; constant between jumps: held; an input must be "
+            "known at every sample",
+        ),
     }
     held = {one.column: one.hold for one in seen.columns if one.hold}
-    assert held == {"level": "zero"}
+    assert held == {"level": "zero", "supply [V]": "zero"}
     names = [one.name for one in seen.columns if one.name]
-    assert names == ["q", "force", "Ta", "level"]
+    assert names == ["q", "force", "Ta", "level", "supply"]
 
 
 def test_a_cell_that_is_wrong_is_told_with_its_line(table: Path) -> None:

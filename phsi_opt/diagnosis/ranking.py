@@ -188,10 +188,11 @@ def _ranked_beside(
     by_name = {str(one.effect): one for one in screened}
     ranking = Ranking(record, by_name, before=before)
     chosen = [one for one in screened if one.gain > 0][:MOST_WEIGHED]
-    cases = {str(place): one for place, one in enumerate(chosen)}
+    n = len(chosen)
+    cases = {f"{k} of {n}": (one, f"{k} of {n}") for k, one in enumerate(chosen, 1)}
     highest = 0.0
     worth = -np.inf
-    weigh = partial(weighed_of, record)
+    weigh = partial(_weighed_in_turn, record)
     with closing(ahead(weigh, cases, base.executor, base.say)) as results:
         for one in chosen:
             if one.gain < worth:
@@ -287,6 +288,14 @@ def weighed_of(
     told = effect_words(one.effect, record.weighing.aligned.data.labels)
     say(f"computing the evidence of {told}")
     return record.weighed(one.model, one.values, worth)
+
+
+def _weighed_in_turn(
+    record: EvidenceRecord, numbered: tuple[Screened, str], say: Progress
+) -> Weighed:
+    """The same for a candidate with its number among all, such as "3 of 12"."""
+    one, number = numbered
+    return weighed_of(record, one, lambda line: say(f"{line} ({number})"))
 
 
 def _expected(base: DiagnosedModel, one: Screened, lost: str) -> Candidate:

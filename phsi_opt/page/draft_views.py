@@ -215,7 +215,9 @@ class DataView:
         with field_row():
             with ui.element("div").style("width: 11em"):
                 ui.label(column.heading).style("font-weight: 600")
-                ui.label(", ".join(column.examples)).classes("faint formula")
+                with ui.row().classes("gap-2 faint formula"):  # broken between them
+                    for example in column.examples:
+                        ui.label(example)
             parts = PARTS_OF_COLUMNS if column.is_numeric else (TIME, RUN, UNUSED)
             choice(f"{column.heading} is", parts, column.part, set_part)
             if column.part in KEYS_OF_PARTS:

@@ -26,7 +26,7 @@ from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError, 
 from phsi_opt.page import drafts, worker
 from phsi_opt.page.worker import Order, Returned, Shown, WorkerHandle, example
 from phsi_opt.presentation.content import Follows, StudyContent
-from phsi_opt.presentation.numbers import proper_names
+from phsi_opt.presentation.numbers import duration, proper_names
 from phsi_opt.study_file.gallery import BaseModel
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.writing import write_whole
@@ -36,6 +36,7 @@ FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
 OPENED_FILE = "opened_study.toml"
 REPORT_FILE = "report.html"
+COUNTED = re.compile(r"\((\d+) of (\d+)\)$")  # the number of a step among all
 READ_WITHIN = 60.0  # processor seconds of a call of the process that reads
 HAS_ENDED = "this study has ended; load the page again."
 NO_TABLE = Complaint("data.files", "", "there is no table yet; upload a file.")
@@ -92,6 +93,25 @@ class Job:
     done: str = ""
     then: str = ""  # what is done since this model is there; "" where it is not yet
     began: float = field(default_factory=time.monotonic)
+    counted: float = 0.0  # when the first of counted steps began
+
+    def take(self, line: str) -> None:
+        """Note what the worker says; a line may end in "(3 of 12)"."""
+        self.line = line
+        if (found := COUNTED.search(line)) and found[1] == "1":
+            self.counted = time.monotonic()
+
+    @property
+    def times(self) -> str:
+        """How long it has taken, and what counted steps will take at most."""
+        now = time.monotonic()
+        said = duration(now - self.began)
+        found = COUNTED.search(self.line)
+        if found is None or found[1] == "1":
+            return said
+        n_done, n_steps = int(found[1]) - 1, int(found[2])
+        left = (now - self.counted) / n_done * (n_steps - n_done)
+        return f"{said}, at most {duration(left)} more for these {n_steps}"
 
     @property
     def step(self) -> str:
@@ -531,7 +551,7 @@ class Session:
         if sender is not self._worker:
             return
         if isinstance(message, str) and self.job is not None:
-            self.job.line = message
+            self.job.take(message)
         elif isinstance(message, Shown):
             # Whoever sees the model and cancels is told that it is there.
             if self.job is not None:

@@ -4,7 +4,6 @@ A page asks its session a few times a second whether something has changed, and 
 that anew. So it does not matter how often it is loaded, or in how many windows.
 """
 
-import time
 import traceback
 from collections.abc import Callable
 from functools import partial
@@ -27,7 +26,6 @@ from phsi_opt.page.parts import alert, button, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
 from phsi_opt.presentation.html_report import ours
-from phsi_opt.presentation.numbers import duration
 
 PRIMARY = "#1f5fa8"  # 6.5:1 below white text
 ON_PRIMARY = "#ffffff"
@@ -43,6 +41,7 @@ if (document.activeElement === document.body || document.activeElement.disabled)
 """
 # Keys press the buttons of the header; a text field undoes what is typed in it itself.
 UNDO_BY_KEYS = """
+document.documentElement.lang = "en";
 document.addEventListener("keydown", (event) => {
   const field = event.target.closest("input, textarea"), key = event.key.toLowerCase();
   if (!(event.ctrlKey || event.metaKey) || event.altKey || !"zy".includes(key)) return;
@@ -194,7 +193,7 @@ class Shell:
         said = self._session.message or _what_next(self._session)
         if job is not None:
             said = job.words
-            self._times.set_text(duration(time.monotonic() - job.began))
+            self._times.set_text(job.times)
         self._line.set_text(said)
         self._footer.set_value(said != READY)  # it would only cover what is below
 

@@ -43,6 +43,7 @@ CLOCK_FORMATS = ("", " %H:%M", " %H:%M:%S", " %H:%M:%S.%f", " %I:%M:%S %p", " %I
 DATE_FORMATS = tuple(f"{day}{clock}" for day in DAYS for clock in CLOCK_FORMATS)
 TWO_NUMBERS = re.compile(r"\d\D+\d|\d{6}")  # every date has a day and a year
 DATE_WORDS = words_in("date datum datetime timestamp zeitstempel")
+ELECTRICAL_WORDS = words_in("volt volts voltage current pwm duty")
 COUNTER_WORDS = words_in("no nr number sample index count scan row line point")
 
 
@@ -203,8 +204,15 @@ class SeenColumn(Column):
         return not self.rises_by_one
 
     def is_held(self, runs: Sequence[np.ndarray]) -> bool:
-        """Whether it is constant between jumps, in its runs; gaps tell nothing."""
-        if self.values is None or self.misses_samples or self.wrong:
+        """Whether it is constant between jumps, in its runs; gaps tell nothing.
+
+        With cells missing, only what drives a machine is: voltage, current, duty cycle.
+        """
+        if self.values is None or self.wrong:
+            return False
+        is_electrical = self.unit in ("mV", "V", "kV", "mA", "A")
+        is_electrical = is_electrical or self.has_one_of(ELECTRICAL_WORDS)
+        if self.misses_samples and not is_electrical:
             return False
         return is_stepped(self.known_in(runs))
 

@@ -385,11 +385,11 @@ def _take_part(
         one.becomes(UNUSED, "in a unit of time, and another column has the times")
     elif one.is_set_point:
         one.becomes(UNUSED, "a set point, by its name")
-    elif one.hold:
-        one.becomes(INPUT, "constant between jumps: held")
-    elif one.has_one_of(INPUT_WORDS):
-        must = "an input must be known at every sample"
-        one.becomes(INPUT, must if one.misses_samples else "")
+    elif one.hold or one.has_one_of(INPUT_WORDS):
+        remarks = ["constant between jumps: held"] if one.hold else []
+        if one.misses_samples:
+            remarks.append("an input must be known at every sample")
+        one.becomes(INPUT, "; ".join(remarks))
     else:
         is_unsure = one.has_one_of(PERHAPS_INPUT_WORDS)
         one.becomes(STATE, PERHAPS_INPUT if is_unsure else "")

@@ -3,9 +3,9 @@
 function phsiChart(host, chart) {
   const DASHES = { dash: "7 4", dot: "2 4" }, LEFT = 62, RIGHT = 12, GAP = 22;
   const RAISED = { ..."⁰¹²³⁴⁵⁶⁷⁸⁹", "-": "⁻" };
-  const TOOLS = { in: ["+", "Zoom in"], out: ["−", "Zoom out"], left: ["←", "Move to the left"],
-    right: ["→", "Move to the right"], whole: ["Reset", "Reset the zoom"], svg: ["SVG", "Save the figure as SVG"],
-    png: ["PNG", "Save the figure as PNG"], csv: ["CSV", "Save the numbers as CSV"] };
+  const TOOLS = { in: ["+", "Zoom in", 1, -1], out: ["−", "Zoom out", -2, 2], left: ["←", "Move to the left", -2, -2],
+    right: ["→", "Move to the right", 2, 2], whole: ["Reset", "Reset the zoom", 4, -4], svg: ["SVG",
+      "Save the figure as SVG"], png: ["PNG", "Save the figure as PNG"], csv: ["CSV", "Save the numbers as CSV"] };
   const plain = (text) => String(text).replace(/[&<>"']/g, (sign) => `&#${sign.charCodeAt(0)};`);
   const finite = (values) => values.filter((value) => value !== null && isFinite(value));
   const curves = chart.panels.flatMap((panel) => panel.curves);
@@ -13,7 +13,10 @@ function phsiChart(host, chart) {
   const seen = (panel) => panel.curves.filter((curve) => !hidden.has(curve.group || curve.name));
   const whole = chart.ticks.length ? [-0.5, chart.ticks.length - 0.5] : reach(curves.flatMap((curve) => ends(curve.x)));
   const spanOf = (x) => chart.spans.find((span) => x > span.low - 1e-5 && x < span.high + 1e-5);
-  const time = (span, x) => span.begin + (x - span.low) / (span.high - span.low) * (span.end - span.begin);
+  const time = (span, x) => { // with the decimals that the axis tells
+    const long = span.end - span.begin, t = span.begin + (x - span.low) / (span.high - span.low) * long;
+    return Number(t.toFixed(Math.max(4 - Math.floor(Math.log10(long)), 0)));
+  };
   const size = () => `${host.clientWidth} ${host.clientHeight}`;
   let range = whole, drawnAt = "";
 
@@ -224,7 +227,7 @@ function phsiChart(host, chart) {
   function photograph() { // twice as large, for paper
     const image = new Image(), canvas = document.createElement("canvas");
     image.onload = () => {
-      [canvas.width, canvas.height] = [2 * image.width, 2 * image.height];
+      Object.assign(canvas, { width: 2 * image.width, height: 2 * image.height });
       canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
       canvas.toBlob((blob) => save(blob, "png"));
     };
@@ -232,26 +235,21 @@ function phsiChart(host, chart) {
   }
   function numbers() { // a line for each place on the axis, a column for each curve and each band
     const rows = new Map(), names = chart.spans.length ? ["run", chart.time] : [chart.x_label || "step"];
-    const quoted = (text) => `"${text.replace(/"/g, '""')}"`, n = names.length;
-    for (const panel of chart.panels) for (const curve of panel.curves) {
-      const name = [curve.name || curve.group, panel.label].filter(Boolean).join(", "), met = new Map();
-      names.push(...(curve.std ? [name, `${name}, half of the band`] : [name]));
+    const quoted = (text) => `"${text.replace(/"/g, '""')}"`;
+    for (const panel of chart.panels) for (const curve of panel.curves) for (const band of curve.std ? [0, 1] : [0]) {
+      const met = new Map(), name = [curve.name || curve.group, panel.label].filter(Boolean).join(", ");
+      names.push(band ? `${name}, half of the band` : name);
       curve.y.forEach((y, k) => { // of a jump the value after it, of points all
-        const x = curve.x[k], nth = (curve.look === "points" && met.get(x)) || 0, key = `${x} ${nth}`;
-        const row = rows.get(key) || [x, nth];
+        const x = curve.x[k], nth = (curve.look === "points" && met.get(x)) || 0, key = `${x} ${nth}`, span = spanOf(x);
         if (y === null || (names[0] === "step" && x % 1)) return;
+        const begin = span ? [quoted(span.name), time(span, x)] : [x];
+        if (!rows.has(key)) rows.set(key, Object.assign(begin, { x, nth }));
+        rows.get(key)[names.length - 1] = band ? curve.std[k] : y;
         met.set(x, nth + 1);
-        row[names.length + 2 - (curve.std ? 2 : 1)] = y;
-        if (curve.std) row[names.length + 1] = curve.std[k];
-        rows.set(key, row);
       });
     }
-    const place = (x) => {
-      const span = spanOf(x), n = span && 4 - Math.floor(Math.log10(span.end - span.begin)); // decimals that are known
-      return span ? [quoted(span.name), Number(time(span, x).toFixed(Math.max(n, 0)))] : [x];
-    };
-    const lines = [...rows.values()].sort((a, b) => a[0] - b[0] || a[1] - b[1]).map((row) => [...place(row[0]),
-      ...Array.from({ length: names.length - n }, (_, k) => row[n + 2 + k] ?? "")].join(","));
+    const lines = [...rows.values()].sort((a, b) => a.x - b.x || a.nth - b.nth).map((row) =>
+      names.map((_, k) => row[k] ?? "").join(","));
     return [names.map(quoted).join(","), ...lines, ""].join("\n");
   }
 
@@ -283,8 +281,7 @@ function phsiChart(host, chart) {
     const rows = chart.panels.flatMap((panel) => seen(panel).map((curve) => [curve, nearest(curve, value(at)),
       panel.label])).filter(([, k]) => k >= 0);
     if (!rows.length) return;
-    const x = rows[0][0].x[rows[0][1]];
-    const span = spanOf(x);
+    const x = rows[0][0].x[rows[0][1]], span = spanOf(x);
     const title = span ? `${span.name}, ${chart.time}: ${said(time(span, x))}` : chart.ticks.length ?
       chart.ticks[Math.round(x)].join(" ") : `${chart.x_label}: ${said(x)}`;
     told.innerHTML = `${plain(title)}<br>` + rows.map(([curve, k, label]) =>
@@ -309,9 +306,8 @@ function phsiChart(host, chart) {
   box.addEventListener("dblclick", () => zoom(0, 0));
   host.addEventListener("click", (event) => {
     const key = event.target.closest("button[data-name]"), what = event.target.dataset.do, [low, high] = range;
-    const width = high - low, to = { in: [low + width / 4, high - width / 4], out: [low - width / 2, high + width / 2],
-      left: [low - width / 2, high - width / 2], right: [low + width / 2, high + width / 2], whole: [0, 0] }[what];
-    if (to) zoom(...to);
+    const [, , left, right] = TOOLS[what] || [], quarter = (high - low) / 4;
+    if (left) zoom(low + left * quarter, high + right * quarter);
     if (what === "svg") save(new Blob([picture()], { type: "image/svg+xml" }), what);
     if (what === "png") photograph();
     if (what === "csv") save(new Blob([numbers()], { type: "text/csv" }), what);
