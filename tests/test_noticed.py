@@ -234,8 +234,9 @@ def test_what_is_held_out_is_marked_with_its_times() -> None:
     assert [(one.begin, one.end) for one in chart.spans] == [(0.0, 4.99), (3.0, 7.99)]
     drawn_on = Figure().add_subplot()
     draw(drawn_on, chart)
-    names = [one.get_text() for one in drawn_on.get_legend().get_texts()]
-    assert "for the final test" in names
+    legend = drawn_on.get_legend()
+    assert legend is not None
+    assert "for the final test" in [one.get_text() for one in legend.get_texts()]
 
 
 def test_gaps_limits_and_outliers_are_marked_where_they_are() -> None:

@@ -26,9 +26,9 @@ from phsi_opt.presentation.content import thinned
 from phsi_opt.presentation.numbers import label, number_of
 from phsi_opt.presentation.units import scale_of_time, time_words, times_words
 
-TRAINING = ("", "")  # the ground of data that are fitted has no name and no colour
-HELD_OUT = ("held out: not used for fitting", MEASURED)
-FINAL = ("for the final test", ATTENTION)
+FITTED_GROUND = ("", "")  # the ground of data that are fitted has no name and no colour
+HELD_OUT_GROUND = ("held out: not used for fitting", MEASURED)
+FINAL_GROUND = ("for the final test", ATTENTION)
 Ground = tuple[str, str]
 
 
@@ -41,12 +41,12 @@ def data_chart(look: DataLook, grounds: Sequence[Ground] = ()) -> Chart:
 
     Args:
         look: the measurements.
-        grounds: of each run, `TRAINING`, `HELD_OUT` or `FINAL`; (): all are fitted.
+        grounds: of each run, one of the three above; (): all runs are fitted.
     """
     channels = [one for one in look.channels if len(one.known)]
     height = 0.8 if len(channels) == 1 else 0.55
     x, x_label, ticks = _axis(look)
-    spans, time = _spans(look, x, grounds or [TRAINING] * len(look.trajectories))
+    spans, time = _spans(look, x, grounds or [FITTED_GROUND] * len(look.trajectories))
     told: set[str] = set()  # names that the legend has
     panels = []
     for one in channels:

@@ -459,11 +459,16 @@ class Measurements(TableReaders, Summarised):
             held_out: Further runs, on the ground of data that are not fitted.
             final: Further runs, on that of data for the final test.
         """
-        from phsi_opt.data.data_chart import FINAL, HELD_OUT, TRAINING, data_chart
+        from phsi_opt.data.data_chart import (
+            FINAL_GROUND,
+            FITTED_GROUND,
+            HELD_OUT_GROUND,
+            data_chart,
+        )
 
         runs = list(self.look.trajectories)
-        grounds = [TRAINING] * len(runs)
-        for data, ground in ((held_out, HELD_OUT), (final, FINAL)):
+        grounds = [FITTED_GROUND] * len(runs)
+        for data, ground in ((held_out, HELD_OUT_GROUND), (final, FINAL_GROUND)):
             further = () if data is None else data.look.trajectories
             runs += further
             grounds += [ground] * len(further)

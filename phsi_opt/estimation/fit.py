@@ -557,7 +557,8 @@ class Fit(Identified, WithResiduals, Summarised):
             variance += ((ends[0] - ends[1]) / (2 * short)) ** 2
         times = np.asarray(t, dtype=float)
         std = np.sqrt(variance)
-        return Prediction(times, states, std, self.model.states, self.units)
+        names = tuple(self.model.states)
+        return Prediction(times, states, std, names, self.units)
 
     @property
     def program(self) -> Program:

@@ -186,7 +186,7 @@ class WithResiduals:
         table = self.autocorrelation()
         for name in data.measured:
             k = data.states.index(name)
-            n_values = sum(len(_known(run[:, k])) for run in residuals)
+            n_values = len(_known(np.concatenate(residuals)[:, k]))
             lags, r = table[["lag", name]].to_numpy().T
             curve = Curve("", lags, r, MODEL, STEPS)
             white = 1.96 / np.sqrt(max(n_values, 1))

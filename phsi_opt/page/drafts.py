@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
@@ -502,7 +503,7 @@ def checked(
     if measured is None:
         return complaints, Seen() if known else None
     train, held_out, final = parts or (measured, None, None)
-    digests = [one.digest for one in (train, held_out, final) if one is not None]
+    digests = list(map(attrgetter("digest"), filter(None, (train, held_out, final))))
     key = repr((digests, dict(measured.units), measured.hold))
     if key == known:
         return complaints, None

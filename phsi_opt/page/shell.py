@@ -176,7 +176,7 @@ class Shell:
         with ui.row().classes("w-full items-center gap-3 page no-wrap"):
             self._line = ui.label().style("flex: 1; min-width: 0")
             self._line.props('role="status" aria-live="polite"')
-            self._times = ui.label().style("white-space: nowrap")
+            self._times = ui.label().style("max-width: 45%; text-align: right")
             self._cancel = button("Cancel", partial(run.io_bound, session.cancel))
             self._begin = button("Fit", partial(run.io_bound, session.fit))
         self._show_status()

@@ -10,7 +10,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
-from itertools import chain, cycle
+from itertools import chain, cycle, product
 from textwrap import wrap
 from typing import Any
 
@@ -297,7 +297,8 @@ def numbers_of(chart: Chart) -> pd.DataFrame:
     run and its time.
     """
     columns: dict[str, pd.Series] = {}
-    for panel, curve in ((p, c) for p in chart.panels for c in p.curves):
+    curves = chain.from_iterable(product([one], one.curves) for one in chart.panels)
+    for panel, curve in curves:
         name = ", ".join(filter(None, (curve.name or curve.group, panel.label)))
         table = pd.DataFrame({"x": curve.x, name: curve.y})
         if curve.std is not None:
@@ -309,7 +310,8 @@ def numbers_of(chart: Chart) -> pd.DataFrame:
             table = table.drop_duplicates("x", keep="last")
         table["nth"] = table.groupby("x").cumcount()
         placed = table.set_index(["x", "nth"])
-        columns |= {str(one): placed[one] for one in placed}
+        for column in placed:
+            columns[str(column)] = placed[column]
     found = pd.DataFrame(columns).sort_index().reset_index(level="x")
     x = found.pop("x").to_numpy()
     if not chart.spans:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-KINDS = ("csv", "svg", "png", "pdf")  # of files of a figure
 REPORT_SUFFIXES = (".html", ".md", ".txt")
 # What an earlier study found of the last step, by the effects to consider; None: none.
 Recall = Callable[[StudyRecord, EffectChoice], Diagnosis | None]
@@ -487,14 +487,14 @@ class Study(Summarised):
         runs = content.runs
         if trajectory is None:
             trajectory = content.shown
-        named = [one.name for one in runs]
+        named = list(map(attrgetter("name"), runs))
         number = named.index(trajectory) if trajectory in named else trajectory
         if not isinstance(number, int) or not -len(runs) <= number < len(runs):
             raise DataError(
                 f"there is no trajectory {shown(trajectory)}; there are {len(runs)}: "
                 f"{some_of(named)}."
             )
-        states = [one.name for one in runs[number].channels]
+        states = list(self.train.measured)  # in the order of the channels
         if state is None:
             state = states[content.shown_channel]
         require_known(state, states, f"state {shown(state)} is not measured", DataError)
@@ -594,8 +594,9 @@ class Study(Summarised):
         from phsi_opt.presentation.html_report import figures_of
         from phsi_opt.study.content import study_content
 
+        known = ("csv", "svg", "png", "pdf")
         for kind in kinds:
-            require_known(kind, KINDS, f"kind {shown(kind)} of file", DataError)
+            require_known(kind, known, f"kind {shown(kind)} of file", DataError)
         every = 10**9  # samples: none is left out
         content = study_content(self.record, self.record.laws(), most=every)
         place = Path(folder)
