@@ -80,6 +80,7 @@ def test_what_to_fix_and_what_to_measure_makes_all_identifiable() -> None:
     values = dict.fromkeys(group.fix, 1.0)
     assert not ph.identifiability(model.with_fixed(values), measured=["q"]).groups
     assert not ph.identifiability(spring(p="u"), measured=["q"]).sentences
+    assert not ph.identifiability(model.frozen(), measured=["q"]).sentences
 
 
 def test_a_parameter_behind_a_corner_is_identifiable() -> None:

@@ -230,6 +230,6 @@ def _separated(echelon: Echelon, n_free: int) -> np.ndarray:
             own, row = rows[before]
             pairs = zip(row, known, strict=True)
             rows[before] = (own, [a - row[lead] * b for a, b in pairs])
-    found = np.array([row for _, row in rows], dtype=float).reshape(-1, n_free)
+    found = np.array([row for _, row in rows], dtype=float).reshape(len(rows), n_free)
     found[np.abs(found) < 1e-15] = 0.0  # beside ones; all else is rounding
     return found
