@@ -397,7 +397,7 @@ def regressions(
     estimate = least_squares(slopes, values, prior)
     scores = [a.T @ (y - a @ estimate) for a, y in zip(slopes, values, strict=True)]
     information = [a.T @ a for a in slopes]
-    clusters = Clusters(np.array(scores), np.array(information), prior, 3)
+    clusters = Clusters(np.array(scores), np.array(information), prior, np.zeros(3), 3)
     return clusters, slopes, values
 
 
@@ -426,7 +426,9 @@ def test_the_jackknife_leaves_out_one_trajectory_at_a_time() -> None:
     # The coefficient behind the parameters is left out of what is told.
     borders = []
     for a, y in zip(slopes, values, strict=True):
-        border = Border(a.T @ a, a.T @ y, float(y @ y), 0.0, 2, np.array([0]), size)
+        border = Border(
+            a.T @ a, a.T @ y, float(y @ y), 0.0, 2, np.array([0]), size, np.zeros(2)
+        )
         borders.append(border)
     step = Border.sum(borders).estimate
     np.testing.assert_allclose(step, estimate, rtol=1e-6)

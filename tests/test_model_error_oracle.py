@@ -628,7 +628,9 @@ def test_a_function_gains_what_the_evidence_rises_by() -> None:
     tried = np.array([0.3, 2.0])
     for number, others in ((0, 0.7), (1, 0.7), (1, 0.0)):
         sizes = np.full(2, others)
-        border = Border(normal, gradient, float(data @ data), 0.0, 2, owner, sizes)
+        border = Border(
+            normal, gradient, float(data @ data), 0.0, 2, owner, sizes, np.zeros(2)
+        )
         evidences = []
         for size in (1e-4, *tried):
             sizes = np.full(2, max(others, 1e-4))

@@ -100,11 +100,14 @@ def updated(grid: Grid, residual: np.ndarray, **known: Any) -> np.ndarray:
 
 
 def iteration(
-    grid: Grid, *is_estimated: bool, has_l1: bool = False, huber: float | None = None
+    grid: Grid,
+    *is_estimated: bool,
+    is_penalized: bool = False,
+    huber: float | None = None,
 ) -> NoiseIteration:
     estimated = np.array(is_estimated or (True, True))
     levels = NoiseLevels(np.ones(2), ~estimated, np.zeros(2))
-    return NoiseIteration(grid, levels, N_THETA, huber, has_l1)
+    return NoiseIteration(grid, levels, N_THETA, huber, is_penalized)
 
 
 def residuals(grid: Grid, *factors: float) -> np.ndarray:
@@ -134,8 +137,8 @@ def test_a_common_factor_of_all_noise_leaves_the_estimates_but_not_under_l1(
 ) -> None:
     doubled, one_doubled = 2 * SIGMA, SIGMA * np.array([1.0, 2.0])
     assert iteration(grid).change(SIGMA, doubled) == pytest.approx(0, abs=1e-12)
-    assert iteration(grid, has_l1=True).change(SIGMA, doubled) == np.log(2)
+    assert iteration(grid, is_penalized=True).change(SIGMA, doubled) == np.log(2)
     assert iteration(grid, huber=1.345).change(SIGMA, doubled) == np.log(2)
     assert iteration(grid, False, True).change(SIGMA, doubled) == np.log(2)
     assert iteration(grid).change(SIGMA, one_doubled) == pytest.approx(np.log(2))
-    assert iteration(grid, has_l1=True).change(SIGMA, 1.001 * SIGMA) < 0.0011
+    assert iteration(grid, is_penalized=True).change(SIGMA, 1.001 * SIGMA) < 0.0011

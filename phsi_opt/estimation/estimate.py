@@ -6,7 +6,7 @@ An estimate still holds the measurements and their layout, so it is not saved;
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -286,6 +286,7 @@ class Estimate(ABC):
                 "were removed)"
             )
         warnings += map(self._bound_warning, self.solution.outcome.at_bounds)
+        warnings += self._prior_notes()
         warnings += self.uncertainty.warnings
         covariance = self.uncertainty.covariance
         known = FitUncertainty(covariance=covariance, warnings=tuple(warnings))
@@ -305,6 +306,23 @@ class Estimate(ABC):
             model_error_rows=self._model_error_rows(found.disturbances),
             log_evidence=found.log_evidence,
         )
+
+    def _prior_notes(self) -> Iterator[str]:
+        """That priors count, and which of them the data contradict."""
+        for place, (name, entry) in enumerate(
+            zip(self.unknown.names, self.unknown.entries, strict=True)
+        ):
+            prior = entry.parameter.prior
+            if prior is None:
+                continue
+            told = f"the prior of {name}, {prior[0]:g} +- {prior[1]:g}, counts as data"
+            distance = abs(self.theta[place] - prior[0]) / prior[1]
+            if distance > 3:
+                told += (
+                    f", but the estimate is {distance:.2g} standard deviations away: "
+                    "the prior is wrong, or the model incomplete"
+                )
+            yield told
 
     def _bound_warning(self, name: str) -> str:
         place = self.unknown.names.index(name)

@@ -40,7 +40,7 @@ def expected_errors(model: Model, data: Measurements) -> dict[str, tuple[float, 
     z = nearby.point.z
     linear = linearizer.at(z)
     iteration = NoiseIteration(
-        values.grid, problem.noise, len(values.unknown), huber=None, has_l1=False
+        values.grid, problem.noise, len(values.unknown), huber=None, is_penalized=False
     )
     standardized = linear.residual / start.sigma[values.grid.channel]
     residual = standardized * np.sqrt(2 / len(standardized))

@@ -145,7 +145,7 @@ def identifiability(
     y unchanged: ``dy/d(x0, theta) v = 0`` only for v without it. This is the rank of a
     Taylor series, worked out with a hundred digits at random values of the parameters,
     states and inputs. It is local: a parameter with several discrete solutions counts
-    as identifiable.
+    as identifiable. A prior tells its parameter.
 
     With data, the Fisher information gives the standard error that this record can be
     expected to give, if the model is right (`table`). Several runs have the same

@@ -102,10 +102,15 @@ class LikelihoodEstimate(Estimate):
         ::
 
             sum ((y - x)/sigma)^2 + sum log(2 pi sigma^2)
+
+        and the squares of how far parameters are from the means of their priors, in
+        standard deviations.
         """
         counts = self.grid.measured.sum(axis=0)
         log_variance = np.log(2 * np.pi * self.sigma**2)
-        return self.chi_square + float(np.sum(counts * log_variance))
+        mean, information = self.unknown.priors
+        of_priors = float(information @ (self.theta - mean) ** 2)
+        return self.chi_square + float(np.sum(counts * log_variance)) + of_priors
 
     @cached_property
     def reduced(self) -> OptimalitySystem:

@@ -176,16 +176,17 @@ class LikelihoodProblem:
         """
         l1 = self.task.l1 if l1 is None else l1
         values = self.values_at(start)
+        has_l1 = bool(np.any(values.unknown.weights(l1) > 0))
         noise = NoiseIteration(
             grid=values.grid,
             levels=self.noise,
             n_theta=len(values.unknown),
             huber=self.loss.huber,
-            has_l1=bool(np.any(values.unknown.weights(l1) > 0)),
+            is_penalized=has_l1 or bool(np.any(values.prior)),
         )
         settings = self.task.settings
         optimum = None
-        has_slacks = noise.has_l1 or noise.huber is not None
+        has_slacks = has_l1 or noise.huber is not None
         if settings.solver == "auto" and not has_slacks:
             if most_steps is not None:
                 most = min(most_steps, settings.max_iterations)

@@ -84,7 +84,8 @@ class NoiseIteration:
     levels: NoiseLevels  # what is known, and the least noise
     n_theta: int  # number of free parameters
     huber: float | None  # limit of the loss, or None
-    has_l1: bool  # whether the program has an L1 term
+    # Whether the objective has an L1 term or priors, whose weight the noise changes.
+    is_penalized: bool
     # Change of the logarithm of the noise at which its estimate stays: a tenth of its
     # standard error with 200 values.
     tolerance: float = 0.005
@@ -122,7 +123,7 @@ class NoiseIteration:
         """Of the logarithm of the noise, the largest that moves the estimates."""
         change = np.log(updated / sigma)[self.grid.measured_states]
         largest = float(np.max(np.abs(change)))
-        if self.levels.is_known.any() or self.huber is not None or self.has_l1:
+        if self.levels.is_known.any() or self.huber is not None or self.is_penalized:
             return largest
         # One factor for all channels leaves the estimates where they are.
         return min(largest, float(np.ptp(change)))

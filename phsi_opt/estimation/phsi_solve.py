@@ -100,12 +100,21 @@ class PHSISolver:
             kept = list(map(known.model.free.index, model.free))
             sizes = known.point.theta_scale[kept]
             point = replace(known.point, theta=theta, theta_scale=sizes)
-        for _ in range(MOST_PROGRAMS if model.delays else 1):
-            program = self.loss.program(model, self.grid, point, l1)
+        unknown = Theta.of(model, ("",))
+        has_priors = bool(np.any(unknown.priors))
+        variance = (
+            0.0  # of defects, of which a solve without priors is the first to tell
+        )
+        for _ in range(MOST_PROGRAMS if model.delays or has_priors else 1):
+            program = self.loss.program(model, self.grid, point, l1, variance)
             solution = Solver(program, self.task.settings).solve()
             theta = solution.values["theta"]
-            if np.allclose(theta, point.theta, rtol=SAME_DELAY):
+            is_whole = variance > 0 or not has_priors
+            if is_whole and np.allclose(theta, point.theta, rtol=SAME_DELAY):
                 break
+            used = complete_intervals(model, self.grid)
+            mean_square = np.sum(solution.residual**2) / 2 * mean_square_rate(used)
+            variance = float(mean_square) / model.n_states
             point = replace(point, theta=theta)
         n_free = len(model.free)
         self.task.say(f"PHSI loss, {n_free} parameters: {solution.outcome}")
@@ -114,7 +123,7 @@ class PHSISolver:
             loss=self.loss,
             model=model,
             grid=self.grid,
-            unknown=Theta.of(model, ("",)),
+            unknown=unknown,
             point=point,
             solution=solution,
             l1=l1,

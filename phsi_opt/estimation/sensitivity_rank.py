@@ -175,9 +175,9 @@ class RandomPoints:
         ``knows_start``: whether the states at the start are known.
         """
         n, n_free = self.model.n_states, len(self.model.free)
-        is_local = []
-        for name in self.model.free:
-            is_local.append(self.model.entries[name].parameter.per_trajectory)
+        parameters = [self.model.entries[name].parameter for name in self.model.free]
+        is_local = [one.per_trajectory for one in parameters]
+        has_prior = [False] * n + [one.prior is not None for one in parameters]
         shared = [n + i for i in range(n_free) if not is_local[i]]
         own = [] if knows_start else list(range(n))
         own += [n + i for i in range(n_free) if is_local[i]]
@@ -188,32 +188,36 @@ class RandomPoints:
                 known.extend([NO_CHANGE] * len(own))
             gap = [NO_CHANGE] * (width - len(shared))
             width += len(own)
+
+            def row_of(slopes: Row, gap: Row = gap) -> Row:
+                return [slopes[i] for i in shared] + gap + [slopes[i] for i in own]
+
+            for place in filter(has_prior.__getitem__, range(n + n_free)):
+                unit = [Decimal(int(i == place)) for i in range(n + n_free)]
+                echelon.add(row_of(unit))  # a prior tells the parameter itself
             idle, k = 0, 0
             while idle < 2 and len(echelon.rows) < width:
                 rows = self._relative(number, k)
-                is_new = False
-                for place in measured:
-                    row = [rows[place][i] for i in shared] + gap
-                    is_new |= echelon.add(row + [rows[place][i] for i in own])
-                idle = 0 if is_new else idle + 1
+                added = [echelon.add(row_of(rows[place])) for place in measured]
+                idle = 0 if any(added) else idle + 1
                 k += 1
             if len(echelon.rows) == width:
                 break
         directions = echelon.null_space(width)
-        parameters = Echelon(self.digits)
+        of_parameters = Echelon(self.digits)
         for direction in directions:
             whole = [NO_CHANGE] * (n + n_free)
             # Those of each run stand behind the shared ones, the first run's first.
             for place, value in zip(shared + own, direction, strict=False):
                 whole[place] = value
-            parameters.add(whole[n:])
+            of_parameters.add(whole[n:])
         states: list[int] = []
         if directions and not knows_start:
             changes = np.array(directions, dtype=float)[:, len(shared) :]
             of_runs = changes.reshape(len(directions), -1, len(own))[:, :, :n]
             is_open = np.all(np.any(of_runs != 0, axis=0), axis=0)
             states = np.flatnonzero(is_open).tolist()
-        return Silent(_separated(parameters, n_free), tuple(states))
+        return Silent(_separated(of_parameters, n_free), tuple(states))
 
     def _relative(self, number: int, k: int) -> list[Row]:
         """Slopes of order k by the share of a start or parameter that changes."""

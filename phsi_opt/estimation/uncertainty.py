@@ -25,6 +25,7 @@ from phsi_opt.transcription.defects import (
     parameter_slopes,
 )
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.parameter_vector import Theta
 
 # Share of a direction's largest member from which a parameter belongs to it.
 MEMBER_SHARE = 0.1
@@ -139,7 +140,11 @@ def of_defects(
     weighted = weighted.reshape(-1, n_theta)
     of_gradient = weighted.T @ weighted
     by_defect = jacobian.reshape(-1, n_theta)
-    information = by_defect.T @ by_defect
+    # A prior counts as a measurement whose variance is that of the defects.
+    mean_square = np.mean((own_d if d is None else d) ** 2)
+    of_priors = mean_square * scale**2 * Theta.of(model, ("",)).priors[1]
+    of_gradient += mean_square * np.diag(of_priors)
+    information = by_defect.T @ by_defect + np.diag(of_priors)
     mean_information = np.trace(information) / max(n_theta, 1)
     ridge = RIDGE * mean_information * np.eye(n_theta)
     # A pseudo-inverse, for data from which nothing follows: states that are all zero.

@@ -84,10 +84,14 @@ class Parameter:
         per_trajectory: whether every trajectory has its own value, such as a load that
             changes between runs. On runs that were not fitted, the value is estimated
             like the starting states (see ``compare``).
+        prior: mean and standard deviation of what is known of it, such as from a data
+            sheet; it counts as one more measurement, ((value - mean)/deviation)^2 in
+            the deviance. The start is its mean where no value is given.
 
     Raises:
-        ModelError: a value that is not finite or outside the bounds, crossed bounds, or
-            choices that contradict each other.
+        ModelError: a value that is not finite or outside the bounds, crossed bounds, a
+            prior whose mean is outside the bounds or whose deviation is not positive,
+            or choices that contradict each other.
 
     Examples:
         >>> ph.Parameter(40.0, lower=0, unit="N/m")
@@ -101,6 +105,7 @@ class Parameter:
     fixed: bool = False
     guess: Scan | Share | Tried | None = None
     per_trajectory: bool = False
+    prior: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "value"):
@@ -115,6 +120,18 @@ class Parameter:
                 f"parameter bounds are crossed: lower={self.lower:g} is above "
                 f"upper={self.upper:g}; swap them."
             )
+        if self.prior is not None:
+            mean, deviation = map(float, self.prior)
+            is_fine = self.lower <= mean <= self.upper and 0 < deviation < np.inf
+            if not (is_fine and np.isfinite(mean)):
+                raise ModelError(
+                    f"parameter prior={self.prior!r} is none; expected its mean, "
+                    f"finite and within [{self.lower:g}, {self.upper:g}], and a "
+                    "standard deviation above zero."
+                )
+            object.__setattr__(self, "prior", (mean, deviation))
+            if self.value is None and self.guess is None:
+                object.__setattr__(self, "value", mean)
         if self.value is not None and not self.lower <= self.value <= self.upper:
             raise ModelError(
                 f"parameter value {self.value:g} lies outside its bounds "

@@ -2,7 +2,7 @@
 
 ::
 
-    minimise   1/2 |(y - h(x, theta) - v) / sigma|^2 + 1/2 |w, v, c|^2_prior
+    minimise   1/2 |(y - h(x, theta) - v) / sigma|^2 + 1/2 |w, v, c, theta|^2_prior
                - tilt' theta
     over       theta, x, forces w, errors v of sensors, coefficients c of functions
     subject to d(x, theta) = B w + Phi c
@@ -515,7 +515,10 @@ class _Place:
             self.residual, point.processes, point.coefficients, self._excess
         )
         slope = self.problem.slope
-        return squares / 2 - float(slope @ point.z[: len(slope)])
+        theta = point.z[: len(slope)]
+        mean, information = self.problem.values.prior
+        squares += float(information @ (theta - mean) ** 2)
+        return squares / 2 - float(slope @ theta)
 
     def _squares(
         self,

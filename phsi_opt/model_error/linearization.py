@@ -78,6 +78,8 @@ class Linearization:
     forced: tuple[int, ...]  # equations that can lack a force
     # Numbers of states that functions may depend on: not the memories.
     observed: tuple[int, ...]
+    # (2, n_theta) way to the means of the parameters' priors, and their information.
+    prior: np.ndarray
     # (n_nodes, n_states) states along which functions of them are taken; None: those of
     # the solution.
     along: np.ndarray | None = None
@@ -327,6 +329,7 @@ class Linearizer:
         """
         point = self.values.point
         known = known or self.values.at(z)
+        mean, information = self.values.prior
         return Linearization(
             grid=self.values.grid,
             nodes=point.unscaled(z)["x"],
@@ -340,6 +343,7 @@ class Linearizer:
             x_scale=point.x_scale,
             theta_scale=point.theta_scale,
             forced=self._forced,
+            prior=np.array([mean - z[: len(mean)], information]),
             observed=self._observed,
         )
 

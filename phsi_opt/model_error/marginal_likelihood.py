@@ -75,6 +75,7 @@ class Border:
     # (n_coefficients,).
     owner: np.ndarray
     sizes: np.ndarray  # (n_functions,) of the functions
+    of_theta: np.ndarray  # (n_theta,) information by the parameters' own priors
 
     @classmethod
     def sum(cls, borders: Sequence["Border"]) -> "Border":
@@ -103,8 +104,9 @@ class Border:
 
     @property
     def prior(self) -> np.ndarray:
-        """Information by the priors of coefficients, and a ridge, (n,)."""
+        """Information by the priors of parameters and coefficients, a ridge, (n,)."""
         prior = np.full(len(self.gradient), RIDGE)
+        prior[: self.n_theta] += self.of_theta
         prior[self.n_theta :] = 1 / self.sizes[self.owner] ** 2
         return prior
 
@@ -501,8 +503,8 @@ class OptimalitySystem:
     def borders_by_trajectory(self) -> list[Border]:
         """The border of every trajectory.
 
-        The constant of the log evidence is shared out evenly, and a tilt as the
-        information about each parameter.
+        The constant of the log evidence and the pull of priors are shared out evenly,
+        and a tilt as the information about each parameter.
         """
         problem = self.problem
         run_of_value = problem.grid.run_of_value
@@ -511,7 +513,8 @@ class OptimalitySystem:
             values = np.flatnonzero(run_of_value == run)
             unknowns = np.flatnonzero(self.likelihood._run_of_unknown == run)
             share = self.border.log_constant * len(values) / problem.n_values
-            borders.append(self._border_of(share, values, unknowns))
+            runs = problem.grid.n_trajectories
+            borders.append(self._border_of(share, values, unknowns, 1 / runs))
         if problem.tilt is None:
             return borders
         n = len(self.likelihood.moving)
@@ -522,9 +525,13 @@ class OptimalitySystem:
         return [border.tilted(slope) for border, slope in pairs]
 
     def _border_of(
-        self, log_constant: float, values: Any = EVERY, unknowns: Any = EVERY
+        self,
+        log_constant: float,
+        values: Any = EVERY,
+        unknowns: Any = EVERY,
+        share: float = 1.0,
     ) -> Border:
-        """From some of the values, and the unknowns that belong to them."""
+        """From some of the values, the unknowns that belong to them, and of priors."""
         likelihood, problem = self.likelihood, self.problem
         in_shown = self._in_shown[values]
         residual = problem.residual[values]
@@ -539,20 +546,29 @@ class OptimalitySystem:
             information[:k, :k] += of_theta[
                 np.ix_(likelihood.moving, likelihood.moving)
             ]
+        missed, of_theta = problem.prior[:, likelihood.moving]
+        gradient = weighted.T @ residual - products[:n, n]
+        gradient[:k] += share * of_theta * missed
+        constant = np.sum(weights * residual**2) - products[n, n]
         return Border(
             information=(information + information.T) / 2,
-            gradient=weighted.T @ residual - products[:n, n],
-            constant=float(np.sum(weights * residual**2)) - float(products[n, n]),
+            gradient=gradient,
+            constant=float(constant + share * np.sum(of_theta * missed**2)),
             log_constant=log_constant,
             n_theta=k,
             owner=likelihood.owner[: n - k],
             sizes=self.disturbances.function_sizes,
+            of_theta=of_theta,
         )
 
     @property
     def information(self) -> np.ndarray:
         """Of the border, states and processes integrated out, (n_border, n_border)."""
-        return self._border.information
+        border = self._border
+        information = border.information.copy()
+        places = np.arange(border.n_theta)
+        information[places, places] += border.of_theta
+        return information
 
     @property
     def log_evidence(self) -> float:
@@ -597,15 +613,19 @@ class OptimalitySystem:
 
     @property
     def response(self) -> np.ndarray:
-        """How the estimate answers errors, (n_theta, n_values + n_dynamics).
+        """How the estimate answers errors, (n_theta, n_values + n_dynamics + n_theta).
 
-        Of measured values, and below them of the dynamics with opposite sign, as
-        `Site.effects` has them.
+        Of measured values, of the dynamics with opposite sign, as `Site.effects` has
+        them, and of the means of priors in their standard deviations.
         """
         n, n_theta = self.likelihood.n_unknowns, self._border.n_theta
         answers = self.solved[:, :-1]
         shown = self._in_shown - self.likelihood.shown @ answers[:n]
-        both = np.vstack([self.weights[:, None] * shown, -answers[n:]])
+        of_priors = np.zeros((self.problem.n_theta, shown.shape[1]))
+        of_priors[self.likelihood.moving, range(n_theta)] = np.sqrt(
+            self._border.of_theta
+        )
+        both = np.vstack([self.weights[:, None] * shown, -answers[n:], of_priors])
         response = np.zeros((self.problem.n_theta, len(both)))
         response[self.likelihood.moving] = self._border.covariance[:n_theta] @ both.T
         return response

@@ -63,6 +63,7 @@ class Clusters:
     scores: np.ndarray
     information: np.ndarray  # (n_trajectories, n, n)
     prior: np.ndarray  # (n, n) information that is not the trajectories'
+    of_theta: np.ndarray  # (n_theta,) of it that of the parameters' own priors
     n_theta: int  # number of parameters, the first of the n unknowns
     # Of scores over the information, where noise is the only disturbance; one unless
     # residuals were cut.
@@ -75,6 +76,7 @@ class Clusters:
             scores=np.array([one.gradient - one.information @ step for one in borders]),
             information=np.array([one.information for one in borders]),
             prior=np.diag(borders[0].prior),
+            of_theta=borders[0].of_theta,
             n_theta=borders[0].n_theta,
         )
 
@@ -104,6 +106,8 @@ class Clusters:
         ::
 
             (n - 1)/n sum over trajectories of d d',   d = (I - I_g)^-1 s_g
+
+        and what the errors of the priors' means add.
         """
         everything = self._everything
         moves = []
@@ -112,7 +116,8 @@ class Clusters:
         shifts = np.array(moves)[:, : self.n_theta]
         n = len(self.scores)
         covariance: np.ndarray = (n - 1) / n * (shifts.T @ shifts)
-        return covariance
+        answer = np.linalg.pinv(everything)[: self.n_theta, : self.n_theta]
+        return covariance + (answer * self.of_theta) @ answer.T
 
     def effective_numbers(self) -> np.ndarray:
         """Number of equal trajectories that they are worth, per parameter, (n_theta,).
@@ -312,7 +317,10 @@ def covariance_under(
         disturbances: with their sizes.
     """
     of_noise = response[:, : problem.n_values] * problem.of_values(disturbances.sigma)
-    covariance = of_noise @ of_noise.T
+    n_data = problem.n_values + len(problem.offset)
+    of_priors = response[:, n_data:]
+    covariance = of_noise @ of_noise.T + of_priors @ of_priors.T
+    response = response[:, :n_data]
     sites = problem.sites(disturbances)
     for process, site in zip(disturbances.processes, sites, strict=True):
         weights = site.effects.T @ response.T

@@ -66,6 +66,7 @@ class Program:
         self.set_to = self.start = self.scale = np.zeros(0)
         self.bounds = self.g_bounds = np.zeros((2, 0))
         self._dense_slopes: ca.MX | None = None
+        self._curvature = np.zeros(0)
 
     def setting(self, name: str, value: np.ndarray) -> ca.MX:
         """Numbers (n_values,) that may change between two solves of one program."""
@@ -134,6 +135,16 @@ class Program:
         """
         self.residual = ca.vertcat(self.residual, ca.vec(expression))
         self._dense_slopes = slopes
+
+    def add_squares(
+        self, expression: ca.MX, mean: np.ndarray, weight: np.ndarray
+    ) -> None:
+        """Add ``sum(weight (expression - mean)^2) / 2`` of the first variables.
+
+        All arrays are (n_entries,).
+        """
+        self.cost += ca.dot(ca.DM(weight), (expression - ca.DM(mean)) ** 2) / 2
+        self._curvature = weight
 
     def add_l1(
         self,
@@ -207,7 +218,11 @@ class Program:
         factor = ca.MX.sym("factor")
         multipliers = ca.MX.sym("lam", self.g.numel())
         n_others = self.z.numel() - product.size1()
-        hessian = factor * ca.diagcat(ca.triu(product), ca.MX(n_others, n_others))
+        curvature = np.zeros(self.z.numel())
+        first = len(self._curvature)
+        curvature[:first] = self._curvature * self.scale[:first] ** 2
+        product = ca.diagcat(ca.triu(product), ca.MX(n_others, n_others))
+        hessian = factor * (product + ca.diag(ca.DM(curvature)))
         if exact:
             curved = ca.hessian(ca.dot(multipliers, self.g), self.z)[0]
             hessian = hessian + ca.triu(curved)

@@ -98,6 +98,7 @@ parameters.*.value | number | instead of start: a fixed value, not estimated
 parameters.*.lower | number | lower bound; default: none
 parameters.*.upper | number | upper bound; default: none
 parameters.*.unit | text | unit of its numbers, such as "N/m"; results are shown in it
+parameters.*.prior | mean and deviation | what is known of it: [40, 2] is 40 +- 2
 parameters.*.per_trajectory | true or false | one value for each run; default false
 parameters.*.fixed | true or false | with a guess: keep that value, do not estimate it
 parameters.*.guess | table | rule that takes the starting value from the data
@@ -206,6 +207,7 @@ IS_TEXT = _is(str)
 ARE_TEXTS = _one_or_many(str)
 IS_POSITION = _between(-1, float("inf"), _is(int))
 IS_SPAN = _two(is_number, operator.lt)
+IS_PRIOR = _two(is_number, lambda _, deviation: deviation > 0)
 ARE_PAIRS = _many(_two(IS_TEXT, operator.ne))
 ARE_TERMS = _one_or_many(str, int, float, dict)
 IS_COUNT = _between(0, float("inf"), _is(int))
@@ -235,6 +237,7 @@ FORMS = {
     "list of effects": Form(ARE_TEXTS, 'names, such as ["coulomb friction on p"]'),
     "list of numbers": Form(_many(is_number), "numbers, such as [0.25, 0.5]"),
     "list of two numbers": Form(IS_SPAN, "two times, first and last: [20, 80]"),
+    "mean and deviation": Form(IS_PRIOR, "mean and standard deviation: [40, 2]"),
     "list of pairs": Form(ARE_PAIRS, 'pairs of states, such as [["q", "p"]]'),
     "list of rows": Form(_is(list), "a list of rows, such as [[0, 1], [-1, 0]]"),
     "table": Form(_is(dict), 'a table, such as { unit = "m" }'),

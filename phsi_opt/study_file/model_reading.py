@@ -88,6 +88,9 @@ class ModelReader:
         for key in ("value", "lower", "upper"):
             if settings.get(key) is not None:
                 settings[key] = scale.read(settings[key])
+        if settings.get("prior") is not None:
+            mean, deviation = settings["prior"]
+            settings["prior"] = (scale.read(mean), deviation * scale.size)
         with self.faults.noting(*place):
             return Parameter(**settings)
         return None

@@ -138,6 +138,10 @@ def _parameter(parameter: Parameter) -> Content | float:
     for key in ("value", "lower", "upper"):
         if key in content and scale.unit != parameter.unit:
             content[key] = float(f"{scale.shown(content[key]):.15g}")
+    if parameter.prior is not None:
+        mean, deviation = parameter.prior
+        both = (scale.shown(mean), deviation / scale.size)
+        content["prior"] = [float(f"{one:.15g}") for one in both]
     content |= {"unit": scale.unit} if parameter.unit else {}
     guess = content.get("guess")
     if guess is not None:

@@ -80,6 +80,7 @@ class LikelihoodValues:
         scale: sizes of the variables, (n_variables,).
         lower: bounds of z, (n_variables,); upper: likewise.
         per_size: (n_intervals, n_states) length over the state's size.
+        prior: (2, n_theta) mean and information of the scaled parameters' priors.
         jacobian: places of the slopes of the constraints, interval by interval.
         shown: places of the slopes of the sensors' output, a row per measured value.
     """
@@ -98,6 +99,8 @@ class LikelihoodValues:
         x_bounds = np.broadcast_to(point.x_bounds, (2, *point.x.shape)).reshape(2, -1)
         bounds = np.hstack([[unknown.lower, unknown.upper], x_bounds]) / self.scale
         self.lower, self.upper = bounds
+        sizes = point.theta_scale
+        self.prior = unknown.priors * np.array([1 / sizes, sizes**2])
         self._measured = np.flatnonzero(grid.measured.ravel())
         self._y = grid.y.ravel()[self._measured]
         self._set_defects()

@@ -47,11 +47,11 @@ class PHSILoss:
     ::
 
         (1/m) sum_i |(x_{i+1} - x_i)/h_i - Psi(g; x_i, x_{i+1})|^2
-        + sum_j lambda_j |xi_j|
+        + sum_j lambda_j |xi_j| + (s^2/m) sum_j ((xi_j - mean_j)/deviation_j)^2
 
-    The states are the data, so every state must be measured; intervals with a missing
-    value at an end are omitted. Fast, and convex where Psi is one evaluation of g and R
-    is fixed.
+    The last term is that of priors, with the mean square s^2 of one defect. The states
+    are the data, so every state must be measured; intervals with a missing value at an
+    end are omitted. Fast, and convex where Psi is one evaluation of g and R is fixed.
     The noise in the states biases the estimates: use `MaximumLikelihood` for final
     estimates from measured data. (The thesis uses the sum instead of the mean.)
 
@@ -62,9 +62,17 @@ class PHSILoss:
     integrator: str = SCHEME
 
     def program(
-        self, model: Model, grid: Grid, point: Point, l1: Mapping[str, float]
+        self,
+        model: Model,
+        grid: Grid,
+        point: Point,
+        l1: Mapping[str, float],
+        variance: float = 0.0,
     ) -> Program:
         """The program in theta and the slacks; the data enter as numbers.
+
+        Beside defects of a ``variance`` priors count as they do beside noise; not at
+        all where it is zero.
 
         Raises:
             ModelError: the model has a sensor, or a parameter per trajectory.
@@ -78,6 +86,9 @@ class PHSILoss:
         theta = _theta_variable(program, unknown, point)
         residual, slopes = known_defects(model, used, self.integrator, theta)
         program.add_residual(weight * residual, weight * slopes)
+        mean, information = unknown.priors
+        if variance and np.any(information):
+            program.add_squares(theta, mean, weight**2 * variance * information)
         _add_l1(program, theta, point, unknown.weights(l1) / size)
         return program
 
@@ -90,6 +101,7 @@ class MaximumLikelihood:
     ::
 
         minimise   (1/N) sum ((y - x)/sigma)^2 + sum_j lambda_j |xi_j|
+                   + (1/N) sum_j ((xi_j - mean_j)/deviation_j)^2, of priors
         over states x and parameters, subject to zero defects
 
     States may be unmeasured, and samples may be missing.
@@ -153,6 +165,10 @@ class MaximumLikelihood:
         n_states = model.n_states
         program = Program()
         theta = _theta_variable(program, values.unknown, point)
+        mean, information = values.unknown.priors
+        if np.any(information):
+            n_values = int(grid.measured.sum())
+            program.add_squares(theta, mean, 2 / n_values * information)
         lower, upper = np.broadcast_to(point.x_bounds, (2, *point.x.shape))
         scale = np.tile(point.x_scale, grid.n_nodes)
         label = partial(grid.node_label, n_states)

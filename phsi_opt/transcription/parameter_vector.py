@@ -80,6 +80,16 @@ class Theta:
     def upper(self) -> np.ndarray:
         return np.array(list(map(attrgetter("parameter.upper"), self.entries)))
 
+    @property
+    def priors(self) -> np.ndarray:
+        """Mean and 1/variance of each prior, (2, n_theta); zero where there is none."""
+        found = np.zeros((2, len(self)))
+        for place, entry in enumerate(self.entries):
+            if entry.parameter.prior is not None:
+                mean, deviation = entry.parameter.prior
+                found[:, place] = [mean, deviation**-2]
+        return found
+
     def weights(self, l1: Mapping[str, float]) -> np.ndarray:
         """Weight of each entry in an L1 term, (n_theta,), from weights by slot."""
         weights = [l1.get(one.slot, 0.0) * one.prunable for one in self.entries]
