@@ -334,7 +334,7 @@ MASS = {"m": "mass: x", "k": "spring: x, ground"}
     ({"m": "mass: x; 3*x", "k": "spring: x, ground"}, "for a mass; expected none"),
     ({"m": "mass: x", "k": "spring: x, ground; k*exp(x**2)"}, "has no energy that a formula can hold"),
     (MASS | {"c": "damper: x, y; c*v**3", "e": "damper: y, ground"}, "damper 'c' is not linear, and one of its nodes"),
-    (MASS | {"C": "thermal storage: a", "R": "thermal resistance: a, ground"}, "thermal storage 'C' is thermal and mass 'm' is not"),
+    (MASS | {"C": "thermal storage: a", "R": "thermal resistance: a, ground"}, "thermal resistance 'R' is thermal and spring 'k' is not"),
 ])  # fmt: skip
 def test_what_cannot_be_joined_is_refused_by_name(
     blocks: dict[str, str], message: str

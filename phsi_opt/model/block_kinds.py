@@ -114,7 +114,7 @@ class Block:
     @property
     def nodes(self) -> tuple[str, ...]:
         """Those of its ports that are not the ground, each once."""
-        return tuple(dict.fromkeys(port for port in self.ports if port != GROUND))
+        return tuple(dict.fromkeys(filter(GROUND.__ne__, self.ports)))
 
     @property
     def has_parameter(self) -> bool:
@@ -134,7 +134,7 @@ def read_blocks(diagram: Mapping[str, str]) -> list[Block]:
             a node of two fields.
     """
     checked_names(list(diagram), "blocks", RESERVED_IN_FORMULAS, ModelError)
-    blocks = [_read(name, text) for name, text in diagram.items()]
+    blocks = list(map(_read, diagram.keys(), diagram.values()))
     joined: dict[str, list[Block]] = {}
     fields: dict[str, tuple[str, Block]] = {}
     for block in blocks:
@@ -154,12 +154,11 @@ def read_blocks(diagram: Mapping[str, str]) -> list[Block]:
                 f"{those[0]} is not connected at {node!r}, where no other block is; "
                 f"join it to another node, or to {GROUND}."
             )
-    of_heat = [block for block in blocks if "thermal" in KINDS[block.kind].fields]
-    if 0 < len(of_heat) < len(blocks):
-        other = next(block for block in blocks if block not in of_heat)
+    by_heat = {"thermal" in KINDS[block.kind].fields: block for block in blocks}
+    if len(by_heat) == 2:
         raise ModelError(
-            f"{of_heat[0]} is thermal and {other} is not; the H of heat is no energy "
-            "in joules, so make a diagram of its own of the thermal blocks."
+            f"{by_heat[True]} is thermal and {by_heat[False]} is not; the H of heat is "
+            "no energy in joules, so make a diagram of its own of the thermal blocks."
         )
     return blocks
 

@@ -18,16 +18,17 @@ Bars = Mapping[str, tuple[float, float]]  # where the bar of a node begins and e
 
 def draw_blocks(blocks: Sequence[Block], ax: "Axes | None" = None) -> "Axes":
     """Draw the bars of the nodes and the blocks at them."""
-    order = list(dict.fromkeys(node for block in blocks for node in block.nodes))
-    hanging = [block for block in blocks if len(block.nodes) == 1]
-    n_hanging = [sum(node in one.nodes for one in hanging) for node in order]
+    hanging: dict[str, list[Block]] = {}  # blocks by their only node
+    for block in blocks:
+        for node in block.nodes:
+            hanging.setdefault(node, []).extend([block] * (len(block.nodes) == 1))
     bars = {}
-    right = 0.0
-    for node, n in zip(order, n_hanging, strict=True):
-        bars[node] = (right, right + max(1.6 * n, 0.8))
-        right = bars[node][1] + 2.2
-    right -= 2.2
-    lanes = _lanes(blocks, order)
+    right = -2.2
+    for node, those in hanging.items():
+        start = right + 2.2
+        right = start + max(1.6 * len(those), 0.8)
+        bars[node] = (start, right)
+    lanes = _lanes(blocks, list(bars))
     top = 0.9 * max(lanes.values(), default=0)
     ax = axes_of(ax, (0.8 * right + 1.0, 0.8 * top + 2.8))
     ax.set_axis_off()
@@ -37,14 +38,13 @@ def draw_blocks(blocks: Sequence[Block], ax: "Axes | None" = None) -> "Axes":
     for node, ends in bars.items():
         ax.plot(ends, [0, 0], color="black", linewidth=3, solid_capstyle="butt")
         ax.text(ends[0], -0.1, node, va="top", style="italic", fontsize=9)
-    places = {node: start + 0.8 for node, (start, _) in bars.items()}
-    for block in hanging:
-        (node,) = block.nodes
-        _line(ax, [places[node]] * 2, [0, -1.9 if GROUND in block.ports else -1])
-        _box(ax, block, places[node], -1.0)
-        if GROUND in block.ports:
-            _ground(ax, places[node], -1.9)
-        places[node] += 1.6
+    for node, those in hanging.items():
+        for k, block in enumerate(those):
+            x = bars[node][0] + 0.8 + 1.6 * k
+            _line(ax, [x, x], [0, -1.9 if GROUND in block.ports else -1])
+            _box(ax, block, x, -1.0)
+            if GROUND in block.ports:
+                _ground(ax, x, -1.9)
     for block, lane in lanes.items():
         _draw_between(ax, block, 0.9 * lane, bars)
     return ax
@@ -53,16 +53,16 @@ def draw_blocks(blocks: Sequence[Block], ax: "Axes | None" = None) -> "Axes":
 def _lanes(blocks: Sequence[Block], order: Sequence[str]) -> dict[Block, int]:
     """The lane of each block between bars; in lane 0 it joins neighbours directly."""
     lanes: dict[Block, int] = {}
-    taken: set[tuple[int, int]] = set()  # gaps between bars, with their lanes
+    taken: dict[int, set[int]] = {}  # gaps between bars, by lanes
     for block in blocks:
         at = sorted(map(order.index, block.nodes))
         if len(at) < 2:
             continue
         gaps = range(at[0], at[-1])
         lane = 0 if len(gaps) == 1 else 1
-        while taken & {(gap, lane) for gap in gaps}:
+        while not taken.setdefault(lane, set()).isdisjoint(gaps):
             lane += 1
-        taken |= {(gap, lane) for gap in gaps}
+        taken[lane] |= {*gaps}
         lanes[block] = lane
     return lanes
 
@@ -77,7 +77,9 @@ def _draw_between(ax: "Axes", block: Block, y: float, bars: Bars) -> None:
         if node not in (first, last):
             middle = 0.7 * bars[node][0] + 0.3 * bars[node][1]
             _line(ax, [middle, middle], [0, y])
-    x = (left + right) / 2
+    # Over the gap behind the first bar, where no riser of others is.
+    behind = min(start for start, _ in bars.values() if start > bars[first][0])
+    x = (bars[first][1] + behind) / 2
     if GROUND in block.ports:
         _line(ax, [x, x], [y, y - 0.55])
         _ground(ax, x, y - 0.55)

@@ -124,13 +124,13 @@ def blocks(
     """
     from phsi_opt.model.network import equations_of
 
-    known = {name: parameter_of(one) for name, one in parameters.items()}
+    known = dict(zip(parameters, map(parameter_of, parameters.values()), strict=True))
     read = read_blocks(diagram)
     found = equations_of(read, positions)
     S: dict[tuple[str, str], Any] = {}
-    places: list[tuple[str, Any, str]] = [
-        ("H", "", _text(energy)) for energy in found.energies
-    ]
+    places: list[tuple[str, Any, str]] = []
+    for energy in found.energies:
+        places.append(("H", "", _text(energy)))
     for pair, entry in _matrix(found):
         if entry.is_number:
             S[pair] = float(entry)
@@ -142,8 +142,7 @@ def blocks(
         raise ModelError(
             f"{owned[name]} has the name of a state, the position of a node; rename it."
         )
-    texts = [text for *_, text in places]
-    known |= _own_parameters(owned, known, texts)
+    known |= _own_parameters(owned, known, [text for *_, text in places])
     variables = Variables(tuple(found.rates), tuple(found.inputs))
     terms: dict[str, dict[Any, Dictionary]] = {"H": {}, "S": {}, "R": {}, "F": {}}
     for slot, key, text in places:
@@ -173,9 +172,10 @@ def _own_parameters(
         one = given.get(name)
         if one is None:
             # As of other formulas, it begins at a value from the data or at 1.
-            own = [text for text in texts if name in names_of(text)]
-            together = linear | {name}
-            is_free = all(is_linear(x, sorted(names_of(x) & together)) for x in own)
+            is_free = True
+            for text in texts:
+                own = sorted(names_of(text) & {*linear, name})
+                is_free &= name not in own or is_linear(text, own)
             linear |= {name} if is_free else set()
             lower = -inf if block.role == "joint" else 0.0
             one = Parameter(None if is_free else 1.0, lower=lower)
@@ -204,9 +204,6 @@ def _losses(found: "Equations") -> Iterator[tuple[str, str, str]]:
 
     from phsi_opt.model.network import is_linear, law_of
 
-    names = {one: f"dH_d{state}" for state, one in found.efforts.items()}
-    names |= {one: name for name, one in found.inputs.items()}
-    symbols = {one: sp.Symbol(name, real=True) for one, name in names.items()}
     x = sp.Dummy("x", real=True)
     for block, v in found.losses.items():
         direction, factor = _direction(found, v)
@@ -219,7 +216,7 @@ def _losses(found: "Equations") -> Iterator[tuple[str, str, str]]:
             else:
                 slot = "R"
                 term = factor**2 * law / x
-            yield slot, direction, _text(term.subs(x, v.xreplace(symbols)))
+            yield slot, direction, _text(term.subs(x, found.named(v)))
 
 
 def _direction(found: "Equations", v: "sp.Expr") -> tuple[str, "sp.Expr"]:
@@ -244,13 +241,12 @@ def _forces(found: "Equations") -> Iterator[tuple[str, str, str]]:
     """What the rates have of inputs; flows of losses have places of their own."""
     import sympy as sp
 
-    symbols = {one: sp.Symbol(u, real=True) for u, one in found.inputs.items()}
     for state, rate in found.rates.items():
         force = sp.Integer(0)
-        for one, symbol in symbols.items():
-            force += sp.factor(rate.diff(one)) * symbol
+        for one in found.inputs.values():
+            force += sp.factor(rate.diff(one)) * one
         if force != 0:
-            yield "F", state, _text(force)
+            yield "F", state, _text(found.named(force))
 
 
 def _text(expression: "sp.Expr") -> str:

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -79,7 +80,7 @@ def from_sympy(
     """
     from sympy.physics.mechanics import KanesMethod, LagrangesMethod
 
-    known = {name: parameter_of(one) for name, one in parameters.items()}
+    known = dict(zip(parameters, map(parameter_of, parameters.values()), strict=True))
     is_kane = isinstance(system, KanesMethod)
     is_method = is_kane or isinstance(system, LagrangesMethod)
     if is_method and states is not None:
@@ -154,8 +155,8 @@ def _of_lagrange(
     # SymPy has no public name for the Lagrangian.
     names = _Names.of(q, inputs, [method._L[0], *forces], known)
     endings = [f"_{name}" if len(q) > 1 else "" for name in names.states]
-    v = [sp.Symbol(f"v{ending}", real=True) for ending in endings]
-    p = [sp.Symbol(f"p{ending}", real=True) for ending in endings]
+    v = list(sp.symbols(list(map("v{}".format, endings)), real=True))
+    p = list(sp.symbols(list(map("p{}".format, endings)), real=True))
     for coordinate, velocity in zip(q, v, strict=True):
         names.velocities[coordinate.diff(dynamicsymbols._t)] = velocity
     energies, outside = _hamiltonian(
@@ -167,7 +168,7 @@ def _of_lagrange(
         law = names.plain(force, what) - outside.diff(sp.Symbol(x, real=True))
         laws.append(_text(law, what))
     variables = Variables((*names.states, *map(str, p)), names.inputs)
-    texts = [_text(term, "the energy") for term in energies]
+    texts = list(map(_text, energies, repeat("the energy")))
     return energy_model(variables, list(map(str, v)), texts, laws, known)
 
 
@@ -192,12 +193,14 @@ def _hamiltonian(
             f"one of the coordinates {', '.join(names.states)} has an inertia of its "
             "own. Leave one out, or give it a mass."
         )
-    w = sp.Matrix(p) - sp.Matrix([L.diff(one).subs(at_rest) for one in v])
+    w = sp.Matrix(p) - sp.Matrix([L]).jacobian(v).subs(at_rest).T
+    kinetic = []
     if M.is_diagonal():
-        kinetic = [one**2 / (2 * M[k, k]) for k, one in enumerate(w)]
+        for k, one in enumerate(w):
+            kinetic.append(one**2 / (2 * M[k, k]))
     else:
-        kinetic = [(w.T * M.adjugate() * w)[0] / (2 * determinant)]
-    changing = {sp.Symbol(name, real=True) for name in (*names.inputs, "t")}
+        kinetic.append((w.T * M.adjugate() * w)[0] / (2 * determinant))
+    changing = set(sp.symbols([*names.inputs, "t"], real=True))
     energies = []
     outside = sp.Integer(0)
     for term in (*kinetic, *sp.Add.make_args(sp.expand(-L.subs(at_rest)))):
@@ -244,7 +247,7 @@ class _Names:
             for one in expressions:
                 for function in one.atoms(AppliedUndef):
                     found |= {_name(function)} if function.args == (time,) else set()
-                words = {symbol.name for symbol in one.free_symbols}
+                words = map(str, one.free_symbols)
                 found |= set(filter(re.compile(r"u\d*").fullmatch, words))
             of_inputs = sorted(found - {*of_states, *known})
         return cls(_checked(of_states, "states"), _checked(of_inputs, "inputs"))
@@ -320,7 +323,7 @@ def _text(expression: "sp.Expr", what: str) -> str:
     from phsi_opt.model.sympy_backend import formula_text
 
     text = formula_text(expression)
-    unknown = names_of(text) - {one.name for one in expression.free_symbols}
+    unknown = names_of(text) - set(map(str, expression.free_symbols))
     if unknown:
         raise ModelError(f"{min(unknown)} in {what} is not a finite real number.")
     return text

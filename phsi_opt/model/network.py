@@ -15,6 +15,8 @@ sections 2 and 12).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import filterfalse
+from operator import attrgetter
 from typing import NamedTuple
 
 import sympy as sp
@@ -39,6 +41,20 @@ class Equations(NamedTuple):
     losses: Mapping[Block, sp.Expr]  # the difference v at each, in efforts and inputs
     inputs: Mapping[str, sp.Symbol]  # by source
 
+    def named(self, expression: sp.Expr) -> sp.Expr:
+        """An expression in the names that efforts and inputs have in formulas."""
+        symbols = {}
+        for name, effort in self.efforts.items():
+            symbols[effort] = real(f"dH_d{name}")
+        for name, one in self.inputs.items():
+            symbols[one] = real(name)
+        return expression.xreplace(symbols)
+
+
+def real(name: str) -> sp.Symbol:
+    """A state, an effort or an input in a formula."""
+    return sp.Symbol(name, real=True)
+
 
 def parameter(name: str) -> sp.Symbol:
     """A parameter in a formula; one that may be zero needs cases in an integral."""
@@ -52,8 +68,9 @@ def tidy(expression: sp.Expr) -> sp.Expr:
 
 def law_of(block: Block, **variables: sp.Expr) -> sp.Expr:
     """The law of a block as an expression."""
-    names = {name: parameter(name) for name in names_of(block.law)} | variables
-    return sp.sympify(evaluate(block.law, names, SYMPY))
+    names = sorted(names_of(block.law))
+    known = dict(zip(names, map(parameter, names), strict=True)) | variables
+    return sp.sympify(evaluate(block.law, known, SYMPY))
 
 
 def is_linear(block: Block) -> bool:
@@ -77,27 +94,29 @@ def equations_of(blocks: Sequence[Block], positions: Sequence[str]) -> Equations
     network.solve_nodes(drawn)
     for name, effort in network.efforts.items():
         rates[name] = -drawn[effort]
-    coils = {block: network.currents[block.state] for block in network.of_role("flux")}
-    coils = {block: network.seen(current) for block, current in coils.items()}
+    coils = {}
+    for block in network.of_role("flux"):
+        coils[block] = network.seen(network.currents[block.state])
     for name, current in network.currents.items():
         rates[name] = sp.Integer(0)
         for block, value in coils.items():
             rates[name] += value.diff(current) * network.difference(block)
-    states = network.forces | network.efforts | network.currents
-    efforts = {name: one for name, one in states.items() if one not in network.known}
-    rates = {name: network.seen(rates[name]) for name in efforts}
+    efforts = network.forces | network.efforts | network.currents
+    for name in list(efforts):
+        rates[name] = network.seen(rates[name])
+        if efforts[name] in network.known:  # that of a coil or a spring in series
+            del efforts[name], rates[name], network.kinds[name]
     if not rates:
         raise ModelError(
             "no block stores energy, so there is no state; expected a mass, an "
             "inertia, a spring, a coil, a capacitor, a tank or a thermal storage."
         )
     for node in network.free_nodes():  # those that nothing ties must not matter
-        if any(rate.has(node) for rate in rates.values()):
+        if sp.Tuple(*rates.values()).has(node):
             network.refuse(node)
     energies = [*network.merged(stored), *network.merged(coils), *network.potentials]
-    losses = {block: network.difference(block) for block in network.of_role("loss")}
-    kinds = {name: network.kinds[name] for name in efforts}
-    return Equations(kinds, efforts, rates, energies, losses, network.inputs)
+    losses = network.differences("loss")
+    return Equations(network.kinds, efforts, rates, energies, losses, network.inputs)
 
 
 class _Network:
@@ -124,7 +143,7 @@ class _Network:
                 self.inputs[block.name] = sp.Dummy(block.name, real=True)
 
     def of_role(self, *roles: str) -> list[Block]:
-        return [block for block in self.blocks if block.role in roles]
+        return list(filter(lambda block: block.role in roles, self.blocks))
 
     # ---- what is tied ----------------------------------------------------------------
 
@@ -138,13 +157,16 @@ class _Network:
 
     def difference(self, block: Block) -> sp.Expr:
         """Between the first two ports of a block, or of its port to the ground."""
-        first, second, *_ = (*block.ports, GROUND)
-        return tidy(self.at(first) - self.at(second))
+        second = (*block.ports, GROUND)[1]
+        return tidy(self.at(block.ports[0]) - self.at(second))
+
+    def differences(self, role: str) -> dict[Block, sp.Expr]:
+        blocks = self.of_role(role)
+        return dict(zip(blocks, map(self.difference, blocks), strict=True))
 
     def free_nodes(self) -> list[sp.Symbol]:
         """Nodes that are not tied, the last first; those with a position are last."""
-        left = [one for one in self.nodes.values() if one not in self.known]
-        left.reverse()
+        left = filterfalse(self.known.__contains__, reversed(self.nodes.values()))
         return sorted(left, key=self.names.__contains__)
 
     def tie(self, zero: sp.Expr, unknown: Iterable[sp.Symbol]) -> bool:
@@ -200,13 +222,13 @@ class _Network:
             self.efforts[block.state] = effort
             if kind == MECHANICAL:
                 self.names[effort] = block.ports[0]
-        stored = {block: self.difference(block) for block in self.of_role("storage")}
+        stored = self.differences("storage")
         for block, value in stored.items():
-            driven = [name for name, u in self.inputs.items() if value.has(u)]
+            driven = next(filter(value.has, self.inputs.values()), None)
             if driven or value == 0:
+                to = driven.name if driven else GROUND
                 raise self.conflict(
-                    f"{block} has no state, as it is joined rigidly to "
-                    f"{(*driven, GROUND)[0]!r}"
+                    f"{block} has no state, as it is joined rigidly to {to!r}"
                 )
         return stored
 
@@ -214,15 +236,13 @@ class _Network:
 
     def merged(self, stored: Mapping[Block, sp.Expr]) -> list[sp.Expr]:
         """The terms of P' M^-1 P/2, of storages with their efforts or currents."""
-        free = self.efforts | self.currents
-        own = [
-            name for name, one in free.items() if sp.Tuple(*stored.values()).has(one)
-        ]
+        free = (*self.efforts.values(), *self.currents.values())
+        own = list(filter(sp.Tuple(*stored.values()).has, free))
         M = sp.zeros(len(own))
         for block, effort in stored.items():
-            row = sp.Matrix([effort.diff(free[name]) for name in own])
+            row = sp.Matrix(list(map(effort.diff, own)))
             M += parameter(block.name) * row * row.T
-        P = sp.Matrix([sp.Symbol(name, real=True) for name in own])
+        P = sp.Matrix(list(map(real, map(attrgetter("name"), own))))
         terms = []
         for group in M.connected_components():
             part = M.extract(group, group)
@@ -243,12 +263,13 @@ class _Network:
             if name not in speeds:
                 self.forces[name] = self.effort(name, MECHANICAL)
                 speeds[name] = speed
-            return sp.Symbol(name, real=True)
+            return real(name)
 
-        own = {name: one for one, name in self.names.items() if one not in self.known}
+        free = list(filterfalse(self.known.__contains__, self.names))
+        names = list(map(self.names.__getitem__, free))
         for node in positions:
-            require_known(node, own, f"positions: {node!r} is no free position")
-            position(own[node])
+            require_known(node, names, f"positions: {node!r} is no free position")
+            position(free[names.index(node)])
         for block in self.of_role("spring"):
             extension = sp.Integer(0)
             v = self.difference(block)
@@ -313,36 +334,30 @@ class _Network:
         for node in reversed(nodes):
             zero = self.seen(drawn[node])
             name = self.names.get(node, "")
-            given = [one for one in self.inputs.values() if zero.has(one)]
+            is_given = zero.has(*self.inputs.values())
             if zero == 0 or self.tie(zero, nodes):
                 continue
             if name in self.forces and zero == self.forces[name]:
                 self._rest(name, node)
-            elif given or zero.atoms(sp.Dummy) - {*currents}:
+            elif is_given or zero.atoms(sp.Dummy) - {*currents}:
                 self.refuse(node)
             else:
                 self.tie(zero, currents)
 
     def _rest(self, name: str, node: sp.Symbol) -> None:
         """A node between springs alone: its position is where their forces cancel."""
-        q = sp.Symbol(name, real=True)
-        total = sp.Add(*self.potentials)
+        q = real(name)
+        others, total = sp.Add(*self.potentials).as_independent(q, as_Add=True)
         stiffness = total.diff(q, 2)
         if stiffness.has(q):
             self.refuse(node)
-        at_rest = tidy(q - total.diff(q) / stiffness)
-        held = [one for one in self.potentials if one.has(q)]
-        joined = sp.factor(sp.Add(*held).subs(q, at_rest))
-        self.potentials = [
-            *filter(lambda one: one not in held, self.potentials),
-            joined,
-        ]
+        joined = total.subs(q, tidy(q - total.diff(q) / stiffness))
+        self.potentials = [*filter(None, sp.Add.make_args(others)), sp.factor(joined)]
         self.known[self.forces[name]] = sp.Integer(0)
 
     def refuse(self, node: sp.Symbol) -> None:
-        name = next(name for name, one in self.nodes.items() if one == node)
-        those = [str(block) for block in self.blocks if name in block.ports]
+        those = filter(lambda block: node.name in block.ports, self.blocks)
         raise self.conflict(
-            f"at node {name!r}, which has no storage and no loss, the flows of "
-            f"{', '.join(those)} cannot all be given"
+            f"at node {node.name!r}, which has no storage and no loss, the flows of "
+            f"{', '.join(map(str, those))} cannot all be given"
         )
