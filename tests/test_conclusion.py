@@ -357,8 +357,7 @@ def test_effects_are_named_that_explain_enough_together_alone(monkeypatch) -> No
     )
     assert case.concluded(monkeypatch).findings == ()
     assert said == [
-        f"{told(DAMPER)} and {told(SPRING)} together are not considered: could not be "
-        "re-fitted"
+        f"{told(DAMPER)} and {told(SPRING)} together were skipped: could not be re-fitted"
     ]
 
 

@@ -63,7 +63,7 @@ def spoilt(kind: str) -> ph.Measurements:
 @pytest.mark.parametrize(("kind", "words"), [
     ("sticks", "x: stays at"),
     ("saturates", "x: at its highest value in"),
-    ("repeats", "repeats the value before in"),
+    ("repeats", "repeats its previous value in"),
     ("spikes", "outliers of one sample"),
 ])  # fmt: skip
 def test_samples_that_are_spoilt_are_the_cause_and_no_effect(kind, words) -> None:
@@ -123,6 +123,6 @@ def test_a_report_blames_the_data_and_gives_no_odds() -> None:
     study.diagnose()
     headline = study.content().headline
     words = " ".join(map(str, (headline, *headline.answers)))
-    assert "the data explain most of the error" in words.lower()
+    assert "most of the error comes from the data" in words.lower()
     for certain in ("practically certain", "very likely", "certainly incomplete"):
         assert certain not in words

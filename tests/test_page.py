@@ -226,7 +226,7 @@ def test_a_file_whose_reading_never_ends_stops_nobody(
         page.get_by_role("tab", name="1 Data").click()
         told = page.get_by_role("alert")
         assert told.count() == 0, "all of this waited until the reading was ended"
-        expect(told).to_contain_text("reading was ended after 8 s", timeout=180_000)
+        expect(told).to_contain_text("reading was stopped after 8 s", timeout=180_000)
 
 
 def held_out_error(page: Page, step: int) -> float:

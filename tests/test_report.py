@@ -274,7 +274,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
     assert [one.name for one in record.unestablished] == ["coulomb friction on p"]
     headline = study_content(record).headline
     assert headline.sentence.endswith(
-        "There is no evidence that the present model lacks anything."
+        "There is no evidence that anything is missing from the present model."
     )
     assert headline.answers[0].severity == LOOK
     said = "added, but not established: coulomb friction in the equation of p"

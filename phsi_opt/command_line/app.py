@@ -262,7 +262,7 @@ def study_(
         typer.Option(min=1, help="Largest number of effects that --auto adds."),
     ] = None,
     reach: Annotated[
-        Reach, typer.Option(help="Least evidence of effects that --auto adds.")
+        Reach, typer.Option(help="Weakest evidence of effects that --auto adds.")
     ] = Reach.DECISIVE,
     write: Annotated[
         bool,

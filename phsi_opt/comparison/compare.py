@@ -387,7 +387,7 @@ def compare(fit: Fit | Model, data: Measurements) -> Comparison:
     Examples:
         >>> found = ph.compare(fit, test)
         >>> print(f"error {found.rmse:.3f} m, noise {found.noise_floor:.3f} m")
-        error 0.045 m, noise 0.044 m
+        error 0.044 m, noise 0.044 m
     """
     return compare_record(Record.of(fit_of(fit, data, "compare"), data))
 

@@ -15,7 +15,6 @@ from phsi_opt.data.matlab_reader import UNREAD
 from phsi_opt.reading import check_size
 
 ELSEWHERE = "in another file, which is not read"
-CELLS = "cells or references, which are not supported"
 
 
 def read(
@@ -83,7 +82,7 @@ def _array(one: Any) -> np.ndarray:
     values = np.asarray(one[()] if hasattr(one, "attrs") else one[:])
     kind = getattr(one, "attrs", {}).get("MATLAB_class", b"")
     if kind == b"char" or values.dtype.kind not in "biufc":
-        return np.array(CELLS if kind == b"cell" else "text")
+        return np.array("cells, which are not supported" if kind == b"cell" else "text")
     if "MATLAB_empty" in getattr(one, "attrs", {}):
         return np.array([])
     values = values.astype(values.dtype.newbyteorder("="), copy=False)

@@ -363,7 +363,8 @@ class DataLook:
             place = self.place_words(begin)
             yield f"stays at {values[begin]:.4g} for {length} samples, {place}"
         elif np.sum(repeats) >= MANY:
-            yield f"repeats the value before in {100 * np.mean(repeats):.2g} % of all"
+            percent = 100 * np.mean(repeats)
+            yield f"repeats its previous value in {percent:.2g} % of the samples"
 
     def rows(self) -> Iterator[dict[str, object]]:
         """A row for the clock, and one for each channel; NaN for what is not known."""

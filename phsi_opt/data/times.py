@@ -292,7 +292,7 @@ def _refused(cell: Any, date_format: str | None) -> str:
             "cell or the format."
         )
     return (
-        f"{shown(cell)} is neither a number nor a date; expected such as '2021-11-22 "
+        f"{shown(cell)} is neither a number nor a date; write dates like '2021-11-22 "
         "09:15:00' or '2021-11-22 09:15:00+01:00' (names of time zones are not "
         'supported). For other dates set date_format: "%d.%m.%Y %H:%M:%S", or with the '
         'month first "%m/%d/%Y %H:%M:%S".'

@@ -239,7 +239,7 @@ class _Judge:
             larger = self.refitted(one, thorough=True)
             if isinstance(larger, str):
                 told = self.base.told(*one.effects)
-                self.base.say(f"{told} together are not considered: {larger}")
+                self.base.say(f"{told} together were skipped: {larger}")
                 continue
             return _Proposal(
                 search.path(one),

@@ -21,6 +21,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import Variables
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, parameter_of
+from phsi_opt.presentation.numbers import number_of
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -182,8 +183,9 @@ def _one_each(given: Any, what: str, positions: Sequence[str]) -> list[Any]:
         each *= len(positions)
     if len(each) != len(positions):
         raise ModelError(
-            f"{what}={given!r} is one of {len(each)} for the {len(positions)} "
-            f"coordinates {', '.join(positions)}; give a list with one for each."
+            f"{what}={given!r} is {number_of(len(each), 'value')} for the "
+            f"{len(positions)} coordinates {', '.join(positions)}; give a list with "
+            "one for each."
         )
     return each
 

@@ -165,7 +165,7 @@ class UnitCheck:
             if words_of(unit) - known:
                 of_others = self._solved(_dimension, without=(name,)) or {}
                 said = (
-                    "this unit is not known, so that the number cannot be converted; "
+                    "this unit is not known, so the number cannot be converted; "
                     f"expected {_expected(of_others.get(name))} or a multiple of it."
                 )
                 faults.append(UnitFault(name, said, unit))
@@ -240,7 +240,9 @@ class UnitCheck:
         if not foreign:
             return
         sizes = self._solved(_size)
-        said = "units of different size meet in the formulas" if sizes is None else ""
+        said = (
+            "units of different size are mixed in the formulas" if sizes is None else ""
+        )
         of_data = self._solved(_size, without=self._of_parameters) or {}
         powers = self._solved(_dimension) or {}
         for name, number in self._numbers.items():

@@ -135,7 +135,7 @@ class DataView:
             return
         with card():
             heading("Or try an example")
-            ui.label("Simulated measurements; the model lacks one effect.")
+            ui.label("Simulated measurements; one effect is missing from the model.")
             with ui.row():
                 for name, title in EXAMPLES.items():
                     button(title, partial(self._open_example, name), quiet=True)

@@ -32,7 +32,7 @@ OTHER_SITE = (
     "This request comes from another site; only requests of this page are accepted."
 )
 OTHER_BROWSER = (
-    "This request lacks the cookie of the browser that loaded the page; allow "
+    "This request has no cookie of the browser that loaded the page; allow "
     "cookies and load the page again."
 )
 # A link of another site comes without the cookie. Loaded again from here, it has it.

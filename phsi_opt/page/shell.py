@@ -273,7 +273,7 @@ def _what_next(session: Session) -> str:
     if not session.draft.model.names("states"):
         return "Next, the model: part 2."
     if session.complaints:
-        return f"Still to correct: {len(session.complaints)}, see part 2."
+        return f"Still to correct: {len(session.complaints)} in part 2."
     said = "Data and model are valid: press Fit."
     parameters = session.draft.model.parameters
     assumed = [parameter_words(one) for one in parameters if one.get("is_assumed")]

@@ -147,7 +147,7 @@ class WorkerHandle:
             self.process.join(1.0)
             if within and not (has_time and self.process.exitcode != -OUT_OF_TIME):
                 raise DataError(
-                    f"reading was ended after {within:.0f} s. Keep fewer samples, or "
+                    f"reading was stopped after {within:.0f} s. Keep fewer samples, or "
                     "read the file in Python."
                 )
             raise DataError(
