@@ -34,8 +34,8 @@ Message = tuple[int, bytes]  # the time in ns, and what was sent
 def groups_of_bag(content: Any) -> Iterator[tuple[str, Group]]:
     """The topics of a bag or an MCAP file."""
     by_kind: dict[Kind, list[Message]] = {}
-    for kind, *message in _messages(content):
-        by_kind.setdefault(kind, []).append((message[0], message[1]))
+    for kind, time, sent in _messages(content):
+        by_kind.setdefault(kind, []).append((time, sent))
     origin = min((times[0][0] for times in by_kind.values()), default=0)
     for kind, messages in by_kind.items():
         size = sum(len(sent) for _, sent in messages)
@@ -46,7 +46,7 @@ def groups_of_bag(content: Any) -> Iterator[tuple[str, Group]]:
             first = dict(_numbers_in(decode(messages[0][1])))
         except Exception as error:  # the libraries promise no classes of their errors
             why_not = f"messages of the type {kind.name} are not decoded ({error})"
-            group.channels.append(Signal("message", "", _times, why_not))
+            group.channels.append(Signal("message", "", lambda: np.array([]), why_not))
         else:
             rows = cache(partial(_rows, decode, messages))
             for name, value in first.items():

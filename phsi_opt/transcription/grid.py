@@ -306,9 +306,9 @@ class AlignedData:
         ordered = aligned(model, data)
         copies = copies_in(ordered)
         once = counted_once(ordered, copies)
-        notes = (sentence_about(copies),) if copies else ()
-        notes += (*_notes_on_inputs(model, data), *_notes_on_angles(model, once))
-        return cls(once, grid_of(once), notes)
+        notes = [sentence_about(copies)] if copies else []
+        notes += [*_notes_on_inputs(model, data), *_notes_on_angles(model, once)]
+        return cls(once, grid_of(once), tuple(notes))
 
     def for_model(self, model: Model) -> "AlignedData":
         """The same for a model that has states more; itself where it has none."""
