@@ -9,7 +9,6 @@ from typing import Any
 LINE_WIDTH = 80  # characters in a line of a terminal that nobody has widened
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])(?![.\d])")  # formulas have ** for it
-IDENTIFIER = re.compile(r"\b[^\W\d]\w*")
 DEGREES = re.compile(r"\bdeg(?=[CF]\b)")  # of a temperature
 RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 POWER_OF_TEN = re.compile(
@@ -171,7 +170,7 @@ def label(name: str, unit: str) -> str:
 
 def called(name: str, labels: Mapping[str, str]) -> str:
     """A channel, or a direction such as "h2 - h1", in the names that people read."""
-    return IDENTIFIER.sub(lambda found: labels.get(found[0], found[0]), name)
+    return re.sub(r"\b[^\W\d]\w*", lambda found: labels.get(found[0], found[0]), name)
 
 
 def said(text: str) -> str:
