@@ -422,7 +422,7 @@ def test_init_and_check_draw_the_data_once_and_replace_no_other_picture(demo) ->
     assert picture.stat().st_mtime_ns == before
     demo.write_text(demo.read_text().replace("[data]", "[data]\nbetween = [0, 4]"))
     said("check", demo)
-    assert b"each 4 s" in picture.read_bytes()
+    assert b"each from 0 to 4 s" in picture.read_bytes()
     picture.write_text("mine")
     result = said("init", CSV, "-o", demo, "--force")
     assert "Picture: none: " in result.out
@@ -545,17 +545,18 @@ def test_every_figure_and_its_numbers_are_written(
     names = {path.name for path in folder.iterdir()}
     assert names == {Path(one).name for one in answer.content["files"]}
     kinds = {"csv", "svg", "png"}
-    for name in ("errors", "measurements", "run_2_held_out_q", "run_1_training_q"):
+    runs = ("run_2_held_out_position", "run_1_training_position")
+    for name in ("errors", "measurements", *runs):
         assert {f"{name}.{kind}" for kind in kinds} <= names
-    table = pd.read_csv(folder / "run_1_training_q.csv")
-    lost = table["measured, q (m)"] - table["base model, q (m)"]
+    table = pd.read_csv(folder / "run_1_training_position.csv")
+    lost = table["measured, position (m)"] - table["base model, position (m)"]
     assert np.allclose(lost, table["base model, residual (m)"])
     measured = pd.read_csv(folder / "measurements.csv")
     known = pd.read_csv(diagnosed.with_name("friction_spring.csv"))
     for run, own in known.groupby("run"):
         drawn = measured[measured["run"] == run]
         assert np.allclose(drawn["t (s)"], own["t_s"], atol=1e-6)
-        assert np.allclose(drawn["q (m)"], own["position_m"])
+        assert np.allclose(drawn.iloc[:, 2], own["position_m"])
     assert (folder / "errors.png").read_bytes().startswith(b"\x89PNG")
 
 
