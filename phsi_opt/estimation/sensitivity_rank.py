@@ -13,7 +13,6 @@ of one branch; all have the same parameters.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal, DecimalException
-from operator import mul
 
 import numpy as np
 
@@ -22,15 +21,13 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.simulation.taylor_series import NO_CHANGE, Motion
 
-Row = list[Decimal]
-
 
 class ImpreciseError(ArithmeticError):
     """A number is too small to be told from rounding, and too large to be none."""
 
 
-def _largest(row: Sequence[Decimal]) -> Decimal:
-    return max(map(abs, row), default=NO_CHANGE)
+def _largest(row: np.ndarray) -> Decimal:
+    return max(map(abs, row.tolist()), default=NO_CHANGE)
 
 
 class Echelon:
@@ -41,42 +38,47 @@ class Echelon:
     """
 
     def __init__(self, digits: int) -> None:
-        self.rows: list[tuple[int, Row]] = []
+        self.rows: list[tuple[int, np.ndarray]] = []
         self._zero = Decimal(10) ** (-digits * 7 // 10)
         self._told = Decimal(10) ** (-digits * 4 // 10)
 
-    def add(self, row: Row) -> bool:
-        """Whether a row is independent of those before; then it is kept.
+    def add(self, row: np.ndarray) -> bool:
+        """Whether a row of decimals (n,) is independent of those before and kept.
 
         Raises:
             ImpreciseError: the digits do not suffice to decide it.
         """
         size = _largest(row)
         for lead, known in self.rows:
-            factor = row[lead]
-            if factor:
-                row = [a - factor * b for a, b in zip(row, known, strict=True)]
+            row = row - row[lead] * known if row[lead] else row
         left = _largest(row)
         if left <= size * self._zero:
             return False
         if left < size * self._told:
             raise ImpreciseError
-        lead = max(range(len(row)), key=lambda i: abs(row[i]))
-        self.rows.append((lead, [one / row[lead] for one in row]))
+        lead = int(np.argmax(np.abs(row)))
+        self.rows.append((lead, row / row[lead]))
         return True
 
-    def null_space(self, width: int) -> list[Row]:
+    def widen(self, n_columns: int) -> None:
+        """Further columns, in which the rows are zero."""
+        gap = np.full(n_columns, NO_CHANGE)
+        for number, (lead, row) in enumerate(self.rows):
+            self.rows[number] = (lead, np.append(row, gap))
+
+    def null_space(self, width: int) -> list[np.ndarray]:
         """Directions (width,) on which all rows vanish, one per column without lead."""
-        leads = [lead for lead, _ in self.rows]
+        free = np.ones(width, dtype=bool)
+        free[[lead for lead, _ in self.rows]] = False
         found = []
-        for column in sorted(set(range(width)) - set(leads)):
-            direction = [NO_CHANGE] * width
+        for column in np.flatnonzero(free):
+            direction = np.full(width, NO_CHANGE)
             direction[column] = Decimal(1)
             for lead, row in reversed(self.rows):
-                others = zip(row, direction, strict=True)
-                direction[lead] = -sum((a * b for a, b in others if b), NO_CHANGE)
-            least = self._told * _largest(direction)  # below it all is rounding
-            found.append([one if abs(one) > least else NO_CHANGE for one in direction])
+                direction[lead] = -(row @ direction)
+            size = np.abs(direction)
+            direction[size <= self._told * max(size)] = NO_CHANGE  # it is rounding
+            found.append(direction)
         return found
 
 
@@ -175,65 +177,63 @@ class RandomPoints:
         ``knows_start``: whether the states at the start are known.
         """
         n, n_free = self.model.n_states, len(self.model.free)
-        parameters = [self.model.entries[name].parameter for name in self.model.free]
-        is_local = [one.per_trajectory for one in parameters]
-        has_prior = [False] * n + [one.prior is not None for one in parameters]
-        shared = [n + i for i in range(n_free) if not is_local[i]]
-        own = [] if knows_start else list(range(n))
-        own += [n + i for i in range(n_free) if is_local[i]]
+        entries = [self.model.entries[name].parameter for name in self.model.free]
+        is_local = np.array([False] * n + [one.per_trajectory for one in entries])
+        has_prior = np.array([False] * n + [one.prior is not None for one in entries])
+        places = np.arange(n + n_free)
+        shared = places[(places >= n) & ~is_local]
+        own = places[is_local | ((places < n) & (not knows_start))]
+        units = np.diag(np.full(n + n_free, Decimal(1)))
         echelon = Echelon(self.digits)
         width = len(shared)
         for number in range(self.most_points):
-            for _, known in echelon.rows:
-                known.extend([NO_CHANGE] * len(own))
-            gap = [NO_CHANGE] * (width - len(shared))
+            gap = np.full((n + n_free, width - len(shared)), NO_CHANGE)
+            echelon.widen(len(own))
             width += len(own)
 
-            def row_of(slopes: Row, gap: Row = gap) -> Row:
-                return [slopes[i] for i in shared] + gap + [slopes[i] for i in own]
+            def columns(rows: np.ndarray, gap: np.ndarray = gap) -> list[np.ndarray]:
+                gaps = gap[: len(rows)]
+                return list(np.hstack([rows[:, shared], gaps, rows[:, own]]))
 
-            for place in filter(has_prior.__getitem__, range(n + n_free)):
-                unit = [Decimal(int(i == place)) for i in range(n + n_free)]
-                echelon.add(row_of(unit))  # a prior tells the parameter itself
+            for unit in columns(units[has_prior]):
+                echelon.add(unit)  # a prior tells the parameter itself
             idle, k = 0, 0
             while idle < 2 and len(echelon.rows) < width:
-                rows = self._relative(number, k)
-                added = [echelon.add(row_of(rows[place])) for place in measured]
+                rows = self._relative(number, k)[list(measured)]
+                added = list(map(echelon.add, columns(rows)))
                 idle = 0 if any(added) else idle + 1
                 k += 1
             if len(echelon.rows) == width:
                 break
-        directions = echelon.null_space(width)
-        of_parameters = Echelon(self.digits)
-        for direction in directions:
-            whole = [NO_CHANGE] * (n + n_free)
-            # Those of each run stand behind the shared ones, the first run's first.
-            for place, value in zip(shared + own, direction, strict=False):
-                whole[place] = value
-            of_parameters.add(whole[n:])
+        directions = np.array(echelon.null_space(width)).reshape(-1, width)
+        # Columns of each run stand behind the shared ones, the first run's first.
+        whole = np.full((len(directions), n + n_free), NO_CHANGE)
+        first = np.append(shared, own)
+        whole[:, first] = directions[:, : len(first)]
+        parameters = Echelon(self.digits)
+        for direction in whole[:, n:]:
+            parameters.add(direction)
         states: list[int] = []
-        if directions and not knows_start:
-            changes = np.array(directions, dtype=float)[:, len(shared) :]
-            of_runs = changes.reshape(len(directions), -1, len(own))[:, :, :n]
-            is_open = np.all(np.any(of_runs != 0, axis=0), axis=0)
+        if len(directions) and not knows_start:
+            of_runs = directions[:, len(shared) :].reshape(
+                len(directions), -1, len(own)
+            )
+            is_open = np.all(np.any(of_runs[:, :, :n] != NO_CHANGE, axis=0), axis=0)
             states = np.flatnonzero(is_open).tolist()
-        return Silent(_separated(of_parameters, n_free), tuple(states))
+        return Silent(_separated(parameters, n_free), tuple(states))
 
-    def _relative(self, number: int, k: int) -> list[Row]:
+    def _relative(self, number: int, k: int) -> np.ndarray:
         """Slopes of order k by the share of a start or parameter that changes."""
         motion = self._motion(number)
-        return [list(map(mul, row, motion.sizes)) for row in motion.order(k)]
+        return np.array(motion.order(k), dtype=object) * np.array(motion.sizes)
 
 
 def _separated(echelon: Echelon, n_free: int) -> np.ndarray:
     """The rows, each with a column to itself, (n_rows, n_free)."""
-    rows = list(echelon.rows)
-    for number in range(len(rows) - 1, 0, -1):
-        lead, known = rows[number]
-        for before in range(number):
-            own, row = rows[before]
-            pairs = zip(row, known, strict=True)
-            rows[before] = (own, [a - row[lead] * b for a, b in pairs])
-    found = np.array([row for _, row in rows], dtype=float).reshape(len(rows), n_free)
-    found[np.abs(found) < 1e-15] = 0.0  # beside ones; all else is rounding
-    return found
+    found = np.full((len(echelon.rows), n_free), NO_CHANGE)
+    for number, (lead, row) in enumerate(echelon.rows):
+        found[:number] -= np.outer(found[:number, lead], row)
+        found[number] = row
+    separated = found.astype(float)
+    separated[np.abs(separated) < 1e-15] = 0.0  # beside ones; all else is rounding
+    return separated
