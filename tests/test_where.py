@@ -461,6 +461,7 @@ def circuit_with(hidden: float) -> ForceAnalysis:
     data = ph.Measurements.from_arrays(
         t, y, u, states=["i", "uC"], inputs=["u"], units=units
     )
+    data = replace(data, labels={"uC": "Capacitor"})
     return ForceAnalysis.of(Record.of(ph.identify(model, data), data))
 
 
@@ -470,11 +471,11 @@ def test_a_circuit_lacks_a_voltage_and_knows_no_positions() -> None:
     assert force.equation == "i"
     said = found.sentences[0]
     assert "The equation of i lacks a voltage of" in said
-    assert "the voltage uC" in said
+    assert "the voltage Capacitor" in said
     figure = plot_where(found)
     labels = [ax.get_xlabel() + ax.get_ylabel() + ax.get_title() for ax in figure.axes]
     told = " ".join((said, *labels))
-    assert "missing voltage (V)" in told
+    assert "missing voltage (V)" in told and "Capacitor (V)" in told
     assert not re.search(r"force|position|velocity|speed", told)
     assert found.energy["unit"].tolist()[0] == "A^2/s"
 

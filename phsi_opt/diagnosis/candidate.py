@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 
@@ -184,7 +185,7 @@ class Finding:
         """It in a sentence, with the labels of channels."""
         first = self.effects[0]
         size = self.size.words(first)
-        name, *others = (effect_words(one, labels) for one in self.effects)
+        name, *others = map(partial(effect_words, labels=labels), self.effects)
         if not others:
             return f"{name} ({size})"
         return (

@@ -8,7 +8,9 @@ much*: a re-fit's free runs, and whether a force remains evident beside it.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -383,7 +385,7 @@ class _Judge:
 
     def names(self, channels: Sequence[str]) -> str:
         """Channels as people read them."""
-        return ", ".join(called(one, self.base.labels) for one in channels)
+        return ", ".join(map(partial(called, labels=self.base.labels), channels))
 
     # ---- verdicts --------------------------------------------------------------------
 
@@ -394,7 +396,7 @@ class _Judge:
         named = [effect for finding in findings for effect in finding.effects]
         self.reject_others(proposal.effects, named)
         verdict = Verdict.NAMED
-        said = enumerated(finding.words(self.base.labels) for finding in findings)
+        said = enumerated(map(methodcaller("words", self.base.labels), findings))
         reason = f"{said}; {self.base.change_words(larger)}; "
         grade = Grade.of(proposal.log_evidence)
         reason += f"{grade} evidence (log evidence {proposal.log_evidence:.1f})"

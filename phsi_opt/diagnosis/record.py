@@ -6,7 +6,7 @@ report and page print. Their sentences stand in ``words.jinja``.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -385,7 +385,7 @@ def _where(diagnosis: Diagnosis) -> Answer:
     # What it looks like is what the other parameters leave of it.
     effects = chain(*(finding.effects for finding in diagnosis.findings))
     labels = diagnosis.data.labels
-    places = dict.fromkeys(_acts(one, labels) for one in effects)
+    places = dict.fromkeys(map(partial(_acts, labels=labels), effects))
     if places:
         return Answer(f"{capitalised(' or '.join(places))}.")
     force = diagnosis.analysis.force_in()

@@ -42,11 +42,11 @@ from phsi_opt.estimation.maximum_likelihood import from_fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import Effect, is_delay, is_scanned
-from phsi_opt.model.laws import effect_words
+from phsi_opt.model.laws import effects_words
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.joint_estimate import STEPS_OF_A_PROBLEM
 from phsi_opt.optimization.ipopt import SolverSettings
-from phsi_opt.presentation.numbers import change_words, decimal, enumerated
+from phsi_opt.presentation.numbers import change_words, decimal
 from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import with_no_size
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -178,7 +178,7 @@ class DiagnosedModel:
 
     def told(self, *effects: Effect) -> str:
         """Effects as people read them."""
-        return enumerated(effect_words(one, self.labels) for one in effects)
+        return effects_words(effects, self.labels)
 
     @property
     def error_words(self) -> str:

@@ -260,8 +260,9 @@ class Search:
         known = self.known.get(frozenset(map(str, fewer)))
         if known is not None or not fewer:
             return known
-        (less,) = (one for one in larger.effects if str(one) == name)
-        self.base.say(f"computing the evidence without {self.base.told(less)}")
+        by_name = dict(zip(map(str, larger.effects), larger.effects, strict=True))
+        told = self.base.told(by_name[name])
+        self.base.say(f"computing the evidence without {told}")
         model = reduce(Model.add, fewer, self.ranking.record.base.model)
         values = larger.weighed.model.values
         model = model.with_values({name: values[name] for name in model.values})

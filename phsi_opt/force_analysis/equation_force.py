@@ -190,7 +190,7 @@ class EquationForce(Force):
 
     def called(self, name: str) -> str:
         """A state or an input as people read it."""
-        return called(name, self.record.labels)
+        return called(MEMORY.sub(" of the second storage", name), self.record.labels)
 
     @property
     def position(self) -> str:
@@ -224,18 +224,23 @@ class EquationForce(Force):
 
     def variable_words(self, name: str) -> str:
         """A variable as it is called in speech: a velocity by its position."""
-        record = self.record
-        if name not in record.model.efforts:
-            return self.called(name)
         if self.position_of(name):
             return self.velocity_words(self.position_of(name))
+        known = self._channel_of(name)
+        return self.called(known) if known else f"effort {name}"
+
+    def _channel_of(self, name: str) -> str:
+        """The state or input that a variable is; "" of an effort that is none."""
+        record = self.record
+        if name not in record.model.efforts:
+            return name
         if not record.model.has_energy:
-            return self.called(self._states_of_efforts[name])
+            return self._states_of_efforts[name]
         values = record.variable(name)
         for state in record.model.states:
             if np.allclose(values, record.variable(state)):
-                return self.called(state)
-        return f"effort {name}"
+                return state
+        return ""
 
     def scale_of(self, variable: str) -> Scale:
         """The scale of a variable; a velocity has that of its position by time."""
@@ -243,7 +248,7 @@ class EquationForce(Force):
         position = self.position_of(variable)
         if position:
             return scale_of_rate(position, units, 0.0)
-        return scale_of(units.get(self.variable_words(variable), ""))
+        return scale_of(units.get(self._channel_of(variable), ""))
 
     def told(self, variable: str) -> np.ndarray:
         """Values of a variable, or of a difference, in its `scale_of`."""
@@ -256,7 +261,6 @@ class EquationForce(Force):
         if DIFFERENCE in name:
             first, second = name.split(DIFFERENCE)
             told = DIFFERENCE.join(map(self.variable_words, (first, second)))
-            told = MEMORY.sub(" of the second storage", told)
             return label(told, self.scale_of(first).unit)
         words = self.variable_words(name)
         return words if "effort " in words else label(words, self.scale_of(name).unit)

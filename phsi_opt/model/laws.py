@@ -41,6 +41,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from itertools import chain, permutations
 from operator import attrgetter
 from types import MappingProxyType
@@ -54,7 +55,7 @@ from phsi_opt.model.expressions import needs_brackets
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
 from phsi_opt.model.structure import Role
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.presentation.numbers import called
+from phsi_opt.presentation.numbers import called, enumerated
 
 OF_EQUATION = "in the equation of"
 SECOND_STORAGE = "a storage that is not measured"
@@ -488,6 +489,11 @@ def effect_words(effect: Effect, labels: Mapping[str, str]) -> str:
     return name if effect.tells_place else name + place_words(effect, labels)
 
 
+def effects_words(effects: Iterable[Effect], labels: Mapping[str, str]) -> str:
+    """Several effects as people read them, such as "a and b"."""
+    return enumerated(map(partial(effect_words, labels=labels), effects))
+
+
 def place_words(effect: Effect, labels: Mapping[str, str]) -> str:
     """Where it acts, such as " in the equation of p"."""
     place = called(effect.equation, labels)
@@ -557,6 +563,8 @@ def parameter_symbols(model: BaseModel) -> dict[str, str]:
         if "[" in name or parameter_words(model, name) == name:
             continue
         stem = places.sub("", name).replace("_", " ")
+        if stem.endswith("delay"):  # a time in u(t - 5 ms)
+            continue
         letter = "\N{GREEK SMALL LETTER TAU}" if entry.parameter.unit == "s" else "c"
         symbol = usual.get(stem, f"{letter}_{re.sub(' time.*', '', stem)}")
         if "." in name:  # inside a formula

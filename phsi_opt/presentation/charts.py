@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from itertools import chain, cycle, product
-from textwrap import wrap
+from textwrap import fill, wrap
 from typing import Any
 
 import numpy as np
@@ -237,7 +237,7 @@ def force_chart(
     x_label = time_label(unit_of_time, forces[0].origin)
     curves = []
     for one, color in zip(forces, cycle(FORCE_COLORS), strict=False):
-        name = f"missing in {one.equation}"
+        name = f"missing in {one.equation}" if len(forces) > 1 else "missing"
         curves.append(Curve(name, one.t, one.force, color, std=2 * one.std))
     return Chart(x_label, (Panel(y_label, curves),), forces[0].run, mark=mark)
 
@@ -419,7 +419,7 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
     if panel.noise is not None:
         band = ax.axhspan(-panel.noise, panel.noise, color=FLOOR, alpha=0.2, lw=0)
         band.set_label(panel.band)
-    ax.set_ylabel(_short(panel.label))
+    ax.set_ylabel(fill(_short(panel.label), int(32 * panel.height)))
     ax.margins(y=0.25)
     if panel.scale == LOG:
         ax.set_yscale("log")

@@ -8,6 +8,8 @@ Numbers that are not known are NaN in arrays, and None elsewhere.
 import datetime as dt
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import filterfalse
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -335,10 +337,11 @@ class Diagnosed:
     def rows(self, unit: str) -> list[Row]:
         """Their table, with errors in a unit, without columns that say nothing."""
         rows = [one.row(unit) for one in self.listed]
-        told: set[str] = set()
-        for row in rows:
-            told |= {name for name, cell in row.items() if cell not in ("", "no other")}
-        return [{name: row[name] for name in row if name in told} for row in rows]
+        for name in list(rows[0]) if rows else ():
+            if set(map(itemgetter(name), rows)) <= {"", "no other"}:
+                for row in rows:
+                    del row[name]
+        return rows
 
 
 # ---- all of it -----------------------------------------------------------------------
@@ -395,7 +398,7 @@ class StudyContent:
     def changed(self) -> tuple[str, ...]:
         """The typeset equations of the present model that the base model has not."""
         first, last = self.models[0], self.models[-1]
-        return tuple(line for line in last.typeset if line not in first.typeset)
+        return tuple(filterfalse(first.typeset.__contains__, last.typeset))
 
     @property
     def worst(self) -> tuple[int, int, float]:

@@ -142,7 +142,7 @@ def said_of(
         name,
         errors | {"unit": unit} | (numbers or {}),
         study=study,
-        channels=[in_words(name, labels) for name in study.train.measured],
+        channels=list(map(partial(in_words, labels=labels), study.train.measured)),
         judged=judged,
         failing=FAILING_ERROR,
         present=study.present,

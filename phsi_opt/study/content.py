@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
+from itertools import starmap
 from typing import Any
 
 import numpy as np
@@ -110,7 +111,7 @@ def study_content(
         models.append(_model(heading, study.last.fit, labels))
     measured = study.train.measured
     units = (scale_of(study.train.units.get(name, "")).unit for name in measured)
-    channels = [called(name, labels) for name in measured]
+    channels = list(map(partial(called, labels=labels), measured))
     # The run that judges, and its channel, in which the models differ most.
     judging = [run for run in runs if run.part == runs[0].part]  # the first ones
     shown, shown_channel = foremost(judging, lambda one: one.change)
@@ -170,8 +171,10 @@ def _symbols(study: StudyRecord, present: Equations) -> str:
         is_body = model.has_energy and kind_of(model, position) in ("", MECHANICAL)
         if is_body and momentum not in study.train.measured:
             told[momentum] = f"the momentum of {called(position, study.train.labels)}"
-    told |= {one.symbol: one.name for one in present.parameters if one.symbol}
-    return ", ".join(f"{name} is {one}" for name, one in told.items())
+    for one in present.parameters:
+        if one.symbol:
+            told[one.symbol] = one.name
+    return ", ".join(starmap("{} is {}".format, told.items()))
 
 
 def _parameter(
@@ -285,7 +288,9 @@ def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
     for finding in diagnosis.findings:
         names = list(map(str, finding.effects))
         classes |= dict.fromkeys(names, names)
-    words = {one.name: study.told(one.effect) for one in diagnosis.ranking}
+    words = {}
+    for one in diagnosis.ranking:
+        words[one.name] = study.told(one.effect)
     ranked = []
     for one in diagnosis.ranking:
         alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])

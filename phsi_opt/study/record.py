@@ -27,14 +27,13 @@ from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.later import Later
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.laws import effect_words
+from phsi_opt.model.laws import effects_words
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.presentation.content import ErrorStep, Follows
 from phsi_opt.presentation.numbers import (
     capitalised,
     change_words,
-    enumerated,
     number,
     number_of,
     proper_names,
@@ -182,8 +181,7 @@ class StudyRecord:
 
     def told(self, *effects: Effect) -> str:
         """Effects as people read them."""
-        labels = self.train.labels
-        return enumerated(effect_words(one, labels) for one in effects)
+        return effects_words(effects, self.train.labels)
 
     def called(self, label: str) -> str:
         """The label of a step, with its effects as people read them."""
