@@ -108,7 +108,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     assert "The equation of p lacks a force of" in said
     assert f"{CALLED} (" in said
     assert "found" in said and "missing: named" not in said
-    assert "Study of spring.csv: q measured in" in said
+    assert "Study of spring.csv: Position measured in" in said
     assert "1.4 times the noise." in said
     assert "± is one standard error." in said
     expect(page.get_by_text("worst moment").first).to_be_visible()
