@@ -89,7 +89,7 @@ def diagnose(
         >>> print(found.verdict)
         missing: named
         >>> print(found.findings[0])
-        coulomb friction on p (1.98 +- 0.14 N)
+        coulomb friction in the equation of p (1.98 +- 0.14 N)
     """
     say = progress or silent
     say("estimating what is missing")
