@@ -54,6 +54,8 @@ def test_an_effect_that_the_data_do_not_show_leaves_the_error_as_it_was() -> Non
 def test_a_worse_fit_is_refused_in_words(monkeypatch) -> None:
     study = study_of((12,))
     monkeypatch.setattr(record, "is_worse", lambda *_: True)
-    with pytest.raises(SolveError, match="input lag on T is not added: with it no fit"):
+    with pytest.raises(
+        SolveError, match="input lag in the equation of T is not added: with it no fit"
+    ):
         study.add("input lag", "T")
     assert len(study.steps) == 1

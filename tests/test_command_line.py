@@ -401,7 +401,9 @@ def test_check_says_what_a_study_file_holds(demo: Path) -> None:
 
 def test_check_says_what_no_record_can_tell(demo: Path) -> None:
     assert json.loads(said("check", demo, "--json").out)["warnings"] == []
-    text = demo.read_text().replace("m = 2.5  # kg, weighed: known", "m = {}")
+    text = demo.read_text().replace(
+        "m = 2.5  # in kg; known, so that it is not estimated", "m = {}"
+    )
     demo.write_text(text)
     told = " ".join(said("check", demo).out.split())
     assert "no record can distinguish k, m, c: only" in told

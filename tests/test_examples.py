@@ -1,7 +1,7 @@
 """Every example in a public docstring runs, and prints what it shows.
 
 In the examples ``ph`` is the package, ``np`` is NumPy, and ``data``, ``train``, ``test``,
-``model`` and ``fit`` belong to a spring with dry friction (``docs/data/spring.csv``).
+``model``, ``fit`` and ``study`` belong to a spring with dry friction (``docs/data/spring.csv``).
 """
 
 import doctest
@@ -67,9 +67,11 @@ def spring() -> dict[str, Any]:
         H=ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(10.0, lower=0), m=2.5),
         R=ph.damping("p"),
     )
-    fit = ph.identify(model.add("coulomb friction", "p"), train)
+    complete = model.add("coulomb friction", "p")
+    fit = ph.identify(complete, train)
+    study = ph.Study(complete, train, held_out=test)
     names = {"data": data, "train": train, "test": test, "model": model, "fit": fit}
-    return {"ph": ph, "np": np, **names}
+    return {"ph": ph, "np": np, "study": study, **names}
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -282,7 +282,7 @@ def test_an_input_that_is_held_is_no_delay_of_half_a_sample() -> None:
     found = study.diagnose()
     assert not found.findings
     assert 'is taken of u (hold = "zero"): that' in found.reason
-    assert "input delay on w (0.01" in found.reason
+    assert "input delay in the equation of w (0.01" in found.reason
     assert found.reason.split(";")[0] in study.fit.warnings
     assert (data.hold, study.train.hold) == ("linear", "zero")
     assert study.fit.hold == "zero"
@@ -297,7 +297,10 @@ def test_a_delay_of_one_sample_is_that_of_the_likelier_hold() -> None:
     assert str(finding.effects[0]) == "input delay on w"
     assert finding.coefficient == pytest.approx(STEP, abs=0.1 * STEP)
     assert study.train.hold == "zero"
-    assert 'u (hold = "zero"): beside it input delay on w is likelier' in found.reason
+    assert (
+        'u (hold = "zero"): beside it input delay in the equation of w is likelier'
+        in found.reason
+    )
 
 
 def test_a_delay_that_no_other_input_explains_is_named() -> None:

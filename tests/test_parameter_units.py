@@ -189,7 +189,7 @@ def test_a_size_without_an_inertia_is_told_per_unit_of_it() -> None:
         return inertia_words(model.add(effect), effect, units)
 
     assert per(slow, SPEED, "coulomb friction") == ", per inertia"
-    assert per(house(), HOUSE, "heat loss") == " (per heat capacity)"
+    assert per(house(), HOUSE, "heat loss") == ", per heat capacity"
     assert per(slow, SPEED, "input dead zone") == ""
     assert per(slow, SPEED, "sensor offset") == ""
     assert per(motor(), SPEED, "coulomb friction") == ""

@@ -38,7 +38,9 @@ def test_the_story_ends_as_the_demonstration_did(readme: str) -> None:
     friction = re.search(r"on p \(([\d.]+) \+- ([\d.]+) N\)", text)
     assert friction is not None
     size, error = float(friction[1]), float(friction[2])
-    assert f"on p ({size:.2f} +- {error:.2f} N; true: {TRUTH['f']:g} N)" in readme
+    assert (
+        f"equation of p ({size:.2f} +- {error:.2f} N; true: {TRUTH['f']:g} N)" in readme
+    )
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.rglob("*.md")), ids=lambda p: p.stem)

@@ -110,6 +110,7 @@ RESULTS = {
     "Diagnosis",
     "Finding",
     "Fit",
+    "Identifiability",
     "Prediction",
     "Profile",
 }
