@@ -67,7 +67,7 @@ nitpick_ignore_regex = [
     ),
     (
         "py:.*",
-        r"(abc|ast|collections|concurrent|datetime|enum|functools|os|pathlib|types|typing)(\..*)?",
+        r"(abc|ast|collections|concurrent|datetime|decimal|enum|functools|os|pathlib|types|typing)(\..*)?",
     ),
     (
         "py:.*",

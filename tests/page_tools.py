@@ -10,14 +10,16 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Page
 
 from problems.examples.friction_spring import CSV
 from tests.waiting import HANGS_AFTER, wait_for
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 RUNS = ("run 1", "run 2", "run 3")
@@ -136,8 +138,10 @@ def _is_up(address: str) -> bool:
         return False
 
 
-def faults(page: Page) -> list[str]:
+def faults(page: "Page") -> list[str]:
     """What keeps people from using a page, by axe-core: serious and critical faults."""
+    from axe_playwright_python.sync_playwright import Axe
+
     found = Axe().run(page).response["violations"]
     told = []
     for one in found:

@@ -188,7 +188,7 @@ class TableReaders:
         "log.Y(3).Data". Rows are counted from 1.
 
         Args:
-            source, **words: As in `from_excel`.
+            source, words: As in `from_excel`.
 
         Raises:
             DataError: Something cannot be used; with file, column and row, and with
@@ -210,7 +210,7 @@ class TableReaders:
         column of X. Units are those of attributes "unit" or "units".
 
         Args:
-            source, **words: As in `from_excel`.
+            source, words: As in `from_excel`.
 
         Raises:
             DataError: Something cannot be used; as in `from_mat`.
@@ -233,7 +233,7 @@ class TableReaders:
 
         Args:
             group: The group of channels; None: the only one.
-            source, **words: As in `from_excel`.
+            source, words: As in `from_excel`.
 
         Raises:
             DataError: Something cannot be used; with file, channel and row.
@@ -255,7 +255,7 @@ class TableReaders:
         or ``step``.
 
         Args:
-            source, group, **words: As in `from_mdf`.
+            source, group, words: As in `from_mdf`.
 
         Raises:
             DataError: Something cannot be used; with file, channel and row.
@@ -274,7 +274,7 @@ class TableReaders:
         Units are those of the metadata of a column, "unit" or "units".
 
         Args:
-            source, **words: As in `from_excel`.
+            source, words: As in `from_excel`.
 
         Raises:
             DataError: Something cannot be used; with file, column and row.
@@ -299,7 +299,7 @@ class TableReaders:
 
         Args:
             group: The topic; None: the only one.
-            source, **words: As in `from_mdf`.
+            source, words: As in `from_mdf`.
 
         Raises:
             DataError: Something cannot be used; with file, channel and row.
