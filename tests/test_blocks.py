@@ -209,6 +209,22 @@ CASES: dict[str, tuple[dict[str, str], tuple[str, ...], Rates]] = {
             v["D"] * x[0] / v["C"],
         ],
     ),
+    # Two pumps in one circuit turn as a gear does, which a spring holds.
+    "hydrostatic drive": (
+        {
+            "J1": "inertia: motor",
+            "D1": "pump: a, b, motor",
+            "D2": "pump: a, b, load",
+            "J2": "inertia: load",
+            "k": "torsion spring: load, ground",
+            "tau": "torque: motor, ground",
+        },
+        ("load", "p_motor"),
+        lambda v, x, u: [
+            -v["D1"] / v["D2"] * x[1] / (v["J1"] + v["J2"] * (v["D1"] / v["D2"]) ** 2),
+            u[0] + v["k"] * v["D1"] / v["D2"] * x[0],
+        ],
+    ),
     "room": (
         {
             "C": "thermal storage: room",
@@ -262,6 +278,19 @@ def test_units_of_parameters_and_sources_fit_together(name: str) -> None:
     )
     is_seen = UnitCheck(changed, units | {"t": "s"}).contradiction is not None
     assert is_seen or "n" in model.entries  # a ratio, which could have any unit
+
+
+def test_a_decimal_in_a_law_is_no_decimal_elsewhere() -> None:
+    diagram = {
+        "R": "resistor: a, b; 2.5*v",
+        "G": "resistor: b, ground",
+        "C": "capacitor: a, ground",
+    }
+    model = ph.blocks(diagram).model
+    assert list(model.R) == ["q_C"]
+    for values, x, _, rates in at_random_points(model):
+        current = x[0] / values["C"] / (0.4 + values["G"])
+        np.testing.assert_allclose(rates, [-current], rtol=1e-12)
 
 
 def test_names_values_and_bounds_are_kept() -> None:
@@ -329,6 +358,8 @@ MASS = {"m": "mass: x", "k": "spring: x, ground"}
     ({"u": "voltage: a, ground", "L": "coil: a, b", "K": "motor: b, ground, w", "k": "torsion spring: w, ground"}, "at node 'w', .* a conflict of causality"),
     ({"u": "voltage: a, ground", "R": "resistor: a, ground"}, "no block stores energy"),
     ({}, "no block stores energy"),
+    ({"m": "mass: x", "n": "mass: p_x", "k": "spring: x, p_x"}, "the state 'p_x' is used 2 times"),
+    ({"u": "voltage: a, ground", "K": "motor: a, ground, w", "k": "torsion spring: w, ground"}, "the ends of torsion spring 'k' follow from 'u'"),
     ({"x": "mass: x", "k": "spring: x, ground"}, "mass 'x' has the name of a state"),
     ({"m": "mass: x", "k": "spring: x, ground; k*v"}, "law='k\\*v' is not possible for a spring; expected a formula in x"),
     ({"m": "mass: x; 3*x", "k": "spring: x, ground"}, "for a mass; expected none"),

@@ -102,6 +102,10 @@ class Block:
         return KINDS[self.kind].role
 
     @property
+    def fields(self) -> tuple[str, ...]:
+        return KINDS[self.kind].fields
+
+    @property
     def unit(self) -> str:
         return KINDS[self.kind].unit
 
@@ -138,7 +142,7 @@ def read_blocks(diagram: Mapping[str, str]) -> list[Block]:
     joined: dict[str, list[Block]] = {}
     fields: dict[str, tuple[str, Block]] = {}
     for block in blocks:
-        for node, field in zip(block.ports, KINDS[block.kind].fields, strict=True):
+        for node, field in zip(block.ports, block.fields, strict=True):
             if node == GROUND:
                 continue
             joined.setdefault(node, []).append(block)
@@ -154,7 +158,7 @@ def read_blocks(diagram: Mapping[str, str]) -> list[Block]:
                 f"{those[0]} is not connected at {node!r}, where no other block is; "
                 f"join it to another node, or to {GROUND}."
             )
-    by_heat = {"thermal" in KINDS[block.kind].fields: block for block in blocks}
+    by_heat = {"thermal" in block.fields: block for block in blocks}
     if len(by_heat) == 2:
         raise ModelError(
             f"{by_heat[True]} is thermal and {by_heat[False]} is not; the H of heat is "

@@ -7,7 +7,7 @@ them, and blocks between them are in lanes above.
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from phsi_opt.model.block_kinds import GROUND, KINDS, Block
+from phsi_opt.model.block_kinds import GROUND, Block
 from phsi_opt.presentation.charts import axes_of
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def _box(ax: "Axes", block: Block, x: float, y: float) -> None:
     of_roles = {"loss": "tab:orange", "joint": "tab:gray", "gyrator": "tab:gray"}
     of_roles |= dict.fromkeys(("across", "through"), "tab:green")
     look = {"boxstyle": "round", "facecolor": "white"}
-    look["edgecolor"] = of_roles.get(KINDS[block.kind].role, "tab:blue")
+    look["edgecolor"] = of_roles.get(block.role, "tab:blue")
     kind = block.kind.replace(" ", "\n")
     text = f"{block.name}\n{kind}"
     ax.text(x, y, text, ha="center", va="center", fontsize=8, bbox=look, zorder=2)

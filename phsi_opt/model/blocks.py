@@ -216,7 +216,7 @@ def _losses(found: "Equations") -> Iterator[tuple[str, str, str]]:
             else:
                 slot = "R"
                 term = factor**2 * law / x
-            yield slot, direction, _text(term.subs(x, found.named(v)))
+            yield slot, direction, _text(term.subs(x, v))
 
 
 def _direction(found: "Equations", v: "sp.Expr") -> tuple[str, "sp.Expr"]:
@@ -246,7 +246,7 @@ def _forces(found: "Equations") -> Iterator[tuple[str, str, str]]:
         for one in found.inputs.values():
             force += sp.factor(rate.diff(one)) * one
         if force != 0:
-            yield "F", state, _text(found.named(force))
+            yield "F", state, _text(force)
 
 
 def _text(expression: "sp.Expr") -> str:
