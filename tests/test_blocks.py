@@ -349,6 +349,8 @@ MASS = {"m": "mass: x", "k": "spring: x, ground"}
     ({"k": "spring: x, x"}, "'spring: x, x' joins 'x' with itself"),
     ({"m": "mass: ground"}, "joins 'ground' with itself"),
     ({"k": "spring: x, 2y"}, "nodes: '2y' cannot be used"),
+    ({"v": "damper: x, ground"}, "block 'v': v is a variable in the law of a damper, 'n\\*v'"),
+    ({"a": "gear: x, y"}, "a is a variable in the law of a gear"),
     ({"sin": "mass: x"}, "blocks: the name 'sin' is reserved"),
     (MASS | {"c": "damper: x, y"}, "damper 'c' is not connected at 'y'"),
     (MASS | {"R": "resistor: x, ground"}, "node 'x' joins the translation of mass 'm' with the electrical of resistor 'R'"),

@@ -191,6 +191,11 @@ def _read(name: str, text: str) -> Block:
         )
     block = Block(name, kind, ports, known.law.format(n=name))
     if not has_law:
+        if known.law and name in names_of(known.law.format(n=1)):
+            raise ModelError(
+                f"block {name!r}: {name} is a variable in the law of a {kind}, "
+                f"{known.law.format(n='n')!r} of n; rename the block."
+            )
         return block
     variable = {"spring": "x", "loss": "v"}.get(known.role, "")
     if variable not in names_of(law):
