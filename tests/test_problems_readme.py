@@ -1,5 +1,5 @@
-"""README, docs/evidence.md and docs/thesis.md agree with the results, and each page of
-results/ says how it was made.
+"""What README and docs say of results stands on the pages in results/, docs/thesis.md
+lists all of the thesis, and each page says how it was made.
 """
 
 import re
@@ -41,6 +41,54 @@ def test_the_story_ends_as_the_demonstration_did(readme: str) -> None:
     assert (
         f"equation of p ({size:.2f} +- {error:.2f} N; true: {TRUTH['f']:g} N)" in readme
     )
+
+
+# ---- claims
+
+PARTS = re.compile(r"\n(?=- |\n|#)")  # begin before points, paragraphs and headings
+NUMBER = re.compile(r"(?<![\w./-])\d+(?:\.(\d+))?(?:e(-?\d+))?(?!\w)")
+
+
+def claims() -> list[tuple[str, str, set[Path]]]:
+    """The places of the docs that name pages of results: name, text and pages."""
+    found = []
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+        if path.name == "thesis.md" or "_build" in path.parts:  # a list of numbers
+            continue
+        for part in PARTS.split(path.read_text("utf-8")):
+            named = re.findall(r"`(?:results/)?([\w/]+\.md)`", part)
+            if named:
+                beside = (RESULTS, RESULTS / "thesis", RESULTS / "judges")
+                paths = [place / name for name in named for place in beside]
+                found.append((path.stem, part, set(filter(Path.exists, paths))))
+    return found
+
+
+def numbers(text: str) -> list[re.Match[str]]:
+    """The numbers of a text, without those of code; a blank may part thousands."""
+    return list(NUMBER.finditer(re.sub(r"`[^`]*`|(?<=\d) (?=\d{3}\b)", "", text)))
+
+
+def test_every_number_of_a_claim_stands_on_its_page_as_printed_or_rounded() -> None:
+    wrong = []
+    for name, text, paths in claims():
+        printed = [
+            float(one[0]) for p in paths for one in NUMBER.finditer(p.read_text())
+        ]
+        for number in numbers(text):
+            digits, power = number[1] or "", int(number[2] or 0)
+            is_whole = not digits and not number[2]
+            half = 0.0 if is_whole else 0.5001 * 10.0 ** (power - len(digits))
+            if not any(abs(float(number[0]) - one) <= half for one in printed):
+                wrong.append(f"{name}: {number[0]} in {text[:60]!r}")
+    assert not wrong
+
+
+def test_every_point_of_the_evidence_names_its_page() -> None:
+    points = re.findall(r"^- .*", (ROOT / "docs" / "evidence.md").read_text(), re.M)
+    without = [one for one in points if ".md" not in one]
+    assert len(points) > 20
+    assert not without
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.rglob("*.md")), ids=lambda p: p.stem)

@@ -66,11 +66,12 @@ def summary_row(label: str, rows: pd.DataFrame) -> Record:
 
 
 def hidden_rows(hidden: pd.DataFrame) -> list[Record]:
-    """A line for one effect at each noise, for each other kind, and for each effect."""
+    """A line for all, for one effect, at each noise too, for each kind and effect."""
     kinds = hidden["row"].map(lambda name: ROWS[name].kind)
     one = hidden[kinds.eq("one")]
     by_effect = one["row"].map(lambda name: ROWS[name].effects[0])
-    parts = [(f"one effect, noise {n:g}", rows) for n, rows in one.groupby("noise")]
+    parts = [("all", hidden), ("one effect", one)]
+    parts += [(f"one effect, noise {n:g}", rows) for n, rows in one.groupby("noise")]
     parts += [(str(k), rows) for k, rows in hidden[kinds.ne("one")].groupby(kinds)]
     parts += [(str(effect), rows) for effect, rows in one.groupby(by_effect)]
     return [summary_row(label, rows) for label, rows in parts]

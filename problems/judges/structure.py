@@ -150,7 +150,7 @@ def main() -> None:
                 print(records[-1], flush=True)
     rows = []
     for (name, noise), of_one in pd.DataFrame(records).groupby(["machine", "noise"]):
-        row: Record = {"machine": name, "noise": noise, "n": len(of_one)}
+        row: Record = {"machine": name, "noise": noise}
         row["right place"] = share(int(of_one["right"].sum()), len(of_one))
         row["largest error"] = f"{of_one['largest error'].max():.1e}"
         if noise:

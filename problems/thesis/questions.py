@@ -151,7 +151,7 @@ def questions_page(quick: bool) -> str:
         ["system", "answer"], sort=False
     ):
         line = {"system": system, "question": answer}
-        line |= {"right": share(int(part["right"].sum()), len(part)), "n": len(part)}
+        line["right"] = share(int(part["right"].sum()), len(part))
         exact = part["exact"].dropna()
         line["exactly the true terms"] = share(int(exact.sum()), len(exact))
         said = part["said"].value_counts().items()

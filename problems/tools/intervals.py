@@ -12,8 +12,8 @@ def wilson(count: int, n: int) -> tuple[float, float]:
 
 
 def share(count: int, n: int) -> str:
-    """A share with its 95 % interval (Wilson)."""
+    """A count, its share and the 95 % interval of that (Wilson)."""
     if n == 0:
         return "-"
     lower, upper = wilson(count, n)
-    return f"{count / n:.0%} ({lower:.0%} to {upper:.0%})"
+    return f"{count} of {n}, {count / n:.0%} ({lower:.0%} to {upper:.0%})"
