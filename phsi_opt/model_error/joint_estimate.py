@@ -303,7 +303,7 @@ class JointProblem:
             if is_curved:
                 aim = place.curved().aim(0.0)
                 # Which may lead uphill.
-                there = self._lower(place, aim, passed, 3)
+                there = self._lower(place, aim, passed)
             is_whole = there is not None or damping == 0
             if there is None:
                 aim = place.aim(damping)
@@ -347,14 +347,13 @@ class JointProblem:
         place: "_Place",
         aim: "_Aim",
         passed: Sequence[tuple[float, float]],
-        most_tried: int = 8,
     ) -> "_Place | None":
         """The first lower place on the way to the aim, or None.
 
-        The way is tried in parts, each half of the one before.
+        The whole way, half and a quarter are tried: where no more than a small part of
+        it leads down, as beside a kink, another step (damped) goes further.
         """
-        for n_halvings in range(most_tried):
-            share = 0.5**n_halvings
+        for share in (1.0, 0.5, 0.25):
             there = self._moved(place, place.point.towards(aim.point, share))
             if self._is_lower(there, place, aim, passed, share):
                 return replace(there.renewed(), multipliers=aim.multipliers)
