@@ -303,7 +303,7 @@ class JointProblem:
             if is_curved:
                 aim = place.curved().aim(0.0)
                 # Which may lead uphill.
-                there = self._lower(place, aim, passed)
+                there = self._lower(place, aim, passed, 3)
             is_whole = there is not None or damping == 0
             if there is None:
                 aim = place.aim(damping)
@@ -347,13 +347,15 @@ class JointProblem:
         place: "_Place",
         aim: "_Aim",
         passed: Sequence[tuple[float, float]],
+        most_tried: int = 4,
     ) -> "_Place | None":
         """The first lower place on the way to the aim, or None.
 
-        Parts down to an eighth of it are tried: where no more than a small part leads
-        down, as beside a kink, a damped step goes further.
+        The way is tried in parts, each half of the one before. Where no more than a
+        small part leads down, as beside a kink, a damped step goes further.
         """
-        for share in (1.0, 0.5, 0.25, 0.125):
+        for n_halvings in range(most_tried):
+            share = 0.5**n_halvings
             there = self._moved(place, place.point.towards(aim.point, share))
             if self._is_lower(there, place, aim, passed, share):
                 return replace(there.renewed(), multipliers=aim.multipliers)
