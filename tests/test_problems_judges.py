@@ -112,14 +112,14 @@ def said(findings: str = "gap on p", answer: str = NAME) -> dict[str, Any]:
 def test_a_changed_verdict_is_told_with_its_interval() -> None:
     old = {"a": said(), "b": said("lag on p", FALSE), "c": said(), "d": said()}
     same = verdicts.report(old, old)
-    assert "| all | 4 | 100% (51% to 100%) | 75% (30% to 95%) |" in same
+    assert "| all | 4 | 4 of 4, 100% (51% to 100%) | 3 of 4, 75% (30% to 95%) |" in same
     assert "became right:" not in same and "WRONG" not in same
     new = old | {"a": said("lag on p", FALSE), "b": said()}
     new["c"] = said() | {"sizes": {"gap on p": [1.2, 0.1]}}
     text = verdicts.report(old, new)
     assert "- became WRONG: a (gap): missing: named: gap on p -> " in text
     assert "- became right: b (gap)" in text
-    assert "| all | 4 | 50% (15% to 85%) |" in text
+    assert "| all | 4 | 2 of 4, 50% (15% to 85%) |" in text
     assert f"- {NAME} -> {FALSE}: 1" in text
     assert "standard errors: 1 of 2" in text
 
