@@ -17,6 +17,8 @@ from functools import wraps
 from types import FrameType
 from typing import ParamSpec, TypeVar
 
+from phsi_opt.blas import one_thread
+
 P = ParamSpec("P")
 Result = TypeVar("Result")
 
@@ -70,11 +72,11 @@ def heard() -> Iterator[None]:
 
 
 def interruptible(call: Callable[P, Result]) -> Callable[P, Result]:
-    """Decorate a long call, which Ctrl-C ends as KeyboardInterrupt."""
+    """Decorate a long call: Ctrl-C ends it as such, and BLAS has one thread."""
 
     @wraps(call)
     def inner(*args: P.args, **kwargs: P.kwargs) -> Result:
-        with heard():
+        with heard(), one_thread():
             return call(*args, **kwargs)
 
     return inner

@@ -14,10 +14,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import phsi_opt as ph
+from phsi_opt.blas import one_thread
 from phsi_opt.sweeps.local_workers import THREAD_VARIABLES, local_workers
 from phsi_opt.sweeps.sweep import ahead
+from problems.judges.fit_cases import PROBLEMS
 from tests import sweep_tasks
 from tests.machines import driven_spring
 from tests.sweep_tasks import Counted
@@ -202,6 +205,14 @@ def test_ctrl_c_cancels_the_starts_that_are_not_begun() -> None:
 # ---- other processes -----------------------------------------------------------------
 
 
+def fit_digest() -> str:
+    """Of a fit with a large dictionary, solved by IPOPT, and its standard errors."""
+    problem = PROBLEMS["Schroedinger, noisy, pruned"]()
+    fit = ph.identify(problem.model, problem.data, **problem.options)
+    parts = [fit.estimates, fit.std_errors]
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
 def study_digest(folder: Path) -> str:
     """Of a study with a diagnosis, an effect and a report."""
     unknown = ph.Parameter(1.0, lower=0)
@@ -236,3 +247,26 @@ def test_a_study_and_its_report_are_the_same_in_another_process(tmp_path) -> Non
     expected = study_digest(tmp_path)
     there = elsewhere(f"study_digest(Path({str(tmp_path)!r}))", seed="7", n_threads="2")
     assert there == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n_threads", ["2", "4"])
+def test_a_large_fit_is_the_same_with_more_threads(n_threads: str) -> None:
+    with ThreadPoolExecutor(2) as threads:
+        calls = [
+            threads.submit(elsewhere, "fit_digest()", "3", n) for n in ("1", n_threads)
+        ]
+    assert calls[0].result() == calls[1].result()
+
+
+def test_blas_has_its_threads_again_after_a_long_call() -> None:
+    def n_threads() -> list[int]:
+        return [
+            one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"
+        ]
+
+    with threadpool_limits(2, user_api="blas"):
+        before = n_threads()
+        with one_thread(), one_thread():
+            assert set(n_threads()) == {1}
+        assert n_threads() == before

@@ -101,7 +101,9 @@ def test_intervals_are_counted_and_a_failed_fit_contains_nothing(monkeypatch) ->
     assert "not containing the truth: 1." in text
     table["held"] = [True] * 6 + [False] * 6
     (line,) = coverage.summary(table).to_dict("records")
-    assert line["the package"] == line["white noise alone"] == "3 of 6, 50% (19% to 81%)"
+    assert (
+        line["the package"] == line["white noise alone"] == "3 of 6, 50% (19% to 81%)"
+    )
     assert line["the package: k / R_v / g, %"] == "50 / 50 / 50"
 
 

@@ -35,6 +35,7 @@ from problems.tools.provenance import write
 FIRST, N_TIES = 74_000, 60
 TIED, SETTLED = 3.0, 4.6  # log Bayes factors: odds of 20 and of 100
 ROOM = 3.0  # limits, in ranges of the record
+MEASURED = ("expected", "designed", "random", "record", "seconds")
 N_TRIED = 12  # second effects, before another machine is drawn
 # Waves in time are functions of the record's own time; the others need more states.
 LEFT_OUT = (
@@ -240,6 +241,35 @@ def asked(seed: int, one: Tie, rng: np.random.Generator) -> dict[str, object]:
     return row
 
 
+def page_of(table: pd.DataFrame) -> str:
+    """The page of all ties that were asked."""
+    settled = {
+        name: share(int((table[name] >= SETTLED).sum()), len(table))
+        for name in ("designed", "random", "record")
+    }
+    # Of two that the input acts on alike, or where one contains the other, none can.
+    possible = table[table["expected"] >= SETTLED]
+    near = (possible["designed"] / possible["expected"]).between(1 / 1.5, 1.5)
+    shown = table.copy()
+    for name in MEASURED:
+        shown[name] = [
+            "failed" if np.isnan(one) else f"{one:.3g}" for one in table[name]
+        ]
+    return render(
+        "judges/pages/experiments.md",
+        first=int(table["seed"].iloc[0] // 1000 * 1000),
+        last=int(table["seed"].iloc[-1]),
+        n=len(table),
+        settled=settled,
+        possible=share(int((possible["designed"] >= SETTLED).sum()), len(possible)),
+        near=share(int(near.sum()), len(possible)),
+        median=float(table["seconds"].median()),
+        longest=float(table["seconds"].max()),
+        wrong=shown[~(table["designed"] >= SETTLED)],
+        rows=shown,
+    )
+
+
 def main() -> None:
     """Look for ties, design, run, and write the page."""
     first, n = int(option("first", str(FIRST))), int(option("ties", str(N_TIES)))
@@ -251,28 +281,7 @@ def main() -> None:
             rows.append({"seed": seed, "true": one.true, "other": one.other})
             print(seed, one.true, one.other, str(error)[:200], flush=True)
         print(rows[-1], flush=True)
-    table = pd.DataFrame(rows)
-    settled = {
-        name: share(int((table[name] >= SETTLED).sum()), len(table))
-        for name in ("designed", "random", "record")
-    }
-    # Of two that the input acts on alike, or where one contains the other, none can.
-    possible = table[table["expected"] >= SETTLED]
-    near = (possible["designed"] / possible["expected"]).between(1 / 1.5, 1.5)
-    page = render(
-        "judges/pages/experiments.md",
-        first=first,
-        last=int(table["seed"].iloc[-1]),
-        n=len(table),
-        settled=settled,
-        possible=share(int((possible["designed"] >= SETTLED).sum()), len(possible)),
-        near=share(int(near.sum()), len(possible)),
-        median=float(table["seconds"].median()),
-        longest=float(table["seconds"].max()),
-        wrong=table[~(table["designed"] >= SETTLED)],
-        rows=table,
-    )
-    write("judges/experiments.md", page)
+    write("judges/experiments.md", page_of(pd.DataFrame(rows)))
 
 
 if __name__ == "__main__":
