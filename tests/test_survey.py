@@ -99,6 +99,16 @@ def test_a_clock_is_what_increases_and_no_temperature(table, name, clock) -> Non
         assert remarks(seen)[name][0] == ("input" if name == "T_in" else "state")
 
 
+def test_times_have_a_unit_before_what_counts_lines_that_are_missing(table) -> None:
+    n = np.r_[np.arange(20.0), np.arange(50.0, 80.0)]
+    seen = of_columns(table, **{"sample": n, "elapsed [s]": 2 * n, "q": np.sin(n)})
+    assert remarks(seen) == {
+        "sample": ("left out", "0 to 79; counts the lines"),
+        "elapsed [s]": ("time", "0 to 158"),
+        "q": ("state", "-1 to 0.9995"),
+    }
+
+
 def test_times_that_were_rounded_are_proposed_with_their_step(table: Path) -> None:
     t = 0.1353 * np.arange(2000)
     lines = [f"{a:.2E}\t{np.sin(0.1 * a):.2E}\n" for a in t]
@@ -201,6 +211,21 @@ def test_the_parts_of_columns_follow_from_their_names_and_values(table: Path) ->
     assert held == {"level": "zero", "supply [V]": "zero"}
     names = [one.name for one in seen.columns if one.name]
     assert names == ["q", "force", "Ta", "level", "supply"]
+
+
+def test_a_set_point_of_what_is_not_measured_drives_the_machine(table: Path) -> None:
+    t = np.arange(40.0)
+    jumps = np.where(t < 20, 2.0, 5.0)
+    seen = of_columns(
+        table,
+        **{"t [s]": t, "level [cm]": np.sin(t), "level setpoint [m]": 0 * t + jumps},
+        **{"pump setpoint [l/min]": jumps, "valve target [%]": np.cos(t)},
+    )
+    assert [one.column for one in seen.of_part("input")] == [
+        "pump setpoint [l/min]",
+        "valve target [%]",
+    ]
+    assert remarks(seen)["level setpoint [m]"][0] == "left out"
 
 
 def test_a_cell_that_is_wrong_is_told_with_its_line(table: Path) -> None:

@@ -141,9 +141,12 @@ class SeenColumn(Column):
 
     @property
     def is_counter(self) -> bool:
-        """Whether it counts the lines, and says so."""
+        """Whether it counts the lines, some of which may be missing, and says so."""
         is_named = self.label == "#" or self.has_one_of(COUNTER_WORDS)
-        return is_named and self.rises_by_one
+        if not is_named or self.values is None:
+            return False
+        steps = np.diff(self.values)
+        return bool(np.all((steps > 0) & (steps % 1 == 0)) and np.median(steps) == 1)
 
     @property
     def rises_by_one(self) -> bool:

@@ -34,6 +34,7 @@ from phsi_opt.data.times import (
 )
 from phsi_opt.errors import DataError, some_of
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
+from phsi_opt.presentation.units import are_alike
 from phsi_opt.study_file.columns import (
     INPUT,
     PERHAPS_INPUT,
@@ -230,10 +231,11 @@ def survey(path: DataFile, part: str | None = None) -> TableSurvey:
     if time is not None:
         _put_together(time, others)
         _find_other_clocks(time, others, rows)
+    measured = {one.unit for one in columns if not one.is_set_point}
     for one in columns:
         if not one.said.startswith((OTHER_CLOCK, PART_OF_TIME)):
             one.hold = "zero" if one.is_held(rows) else ""
-            _take_part(one, time, run, of_step)
+            _take_part(one, time, run, of_step, measured)
     step = step if time is None else None
     seen = TableSurvey(path, table, columns, run, time, step, rows)
     if not seen.of_part(STATE):
@@ -309,6 +311,7 @@ def _time(
             return one
     if not named and step is None:
         free = list(filter(attrgetter("may_be_time"), usable))
+        free.sort(key=lambda one: not one.unit)  # a unit of time first
         for one in free:
             if one.increases(runs) and not one.n_missing and not one.wrong:
                 return one
@@ -369,8 +372,12 @@ def _take_part(
     time: SeenColumn | None,
     run: SeenColumn | None,
     of_step: SeenColumn | None,
+    measured: set[str],
 ) -> None:
-    """Say of a column what it is."""
+    """Say of a column what it is, beside others that are measured in these units.
+
+    A set point in a unit in which nothing is measured is what an actuator is told.
+    """
     if one is time:
         one.becomes(TIME)
     elif one is run:
@@ -383,9 +390,11 @@ def _take_part(
         one.becomes(UNUSED, "counts the lines")
     elif one.unit in TIMES:
         one.becomes(UNUSED, "in a unit of time, and another column has the times")
-    elif one.is_set_point:
+    elif one.is_set_point and any(
+        not one.unit or are_alike(one.unit, unit) for unit in measured
+    ):
         one.becomes(UNUSED, "a set point, by its name")
-    elif one.hold or one.has_one_of(INPUT_WORDS):
+    elif one.is_set_point or one.hold or one.has_one_of(INPUT_WORDS):
         remarks = ["constant between jumps: held"] if one.hold else []
         if one.misses_samples:
             remarks.append("an input must be known at every sample")
