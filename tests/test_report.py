@@ -245,6 +245,21 @@ def test_a_part_that_failed_before_is_told_in_the_past(study, content, page) -> 
     assert "How sure is it" not in [one.question for one in alone.headline.answers]
 
 
+def test_what_the_data_do_not_distinguish_is_the_next_step(study) -> None:
+    named, silent = study.record.diagnoses.values()
+    (finding,) = named.findings
+    other = replace(finding.effects[0], name="stribeck friction")
+    of_class = replace(finding, effects=(finding.effects[0], other))
+    found = replace(named, findings=(of_class,))
+    headline = study_content(with_diagnoses(study, found, silent)).headline
+    assert headline.answers[0].lead == "Nothing missing."
+    assert headline.next_step.lead == (
+        "Distinguish coulomb friction in the equation of p from stribeck friction in "
+        "the equation of p by an experiment."
+    )
+    assert headline.next_step.detail.startswith("Until then, use the model. The data")
+
+
 def test_calls_and_sums_are_in_the_folded_part_alone(study, page) -> None:
     before, _, folded = page.partition("Data, settings, versions and calls")
     for word in ("SHA-256", "MaximumLikelihood", "study.add", "a local optimum was"):

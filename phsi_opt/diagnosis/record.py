@@ -423,7 +423,7 @@ def _next_step(diagnosis: Diagnosis) -> Answer:
     return Answer(
         f"Distinguish {'; '.join(apart)} by an experiment.",
         f"Until then, you may use {firsts} in the model{again}.",
-        how=f"phsi-opt experiment, or study.next_experiment, designs it. {HOW_TO_ADD}",
+        how="phsi-opt experiment, or study.next_experiment, designs it.",
     )
 
 

@@ -32,7 +32,13 @@ from phsi_opt.presentation.content import (
     unestablished_words,
 )
 from phsi_opt.presentation.numbers import called as in_words
-from phsi_opt.presentation.numbers import number, said, with_error, with_interval
+from phsi_opt.presentation.numbers import (
+    lowered,
+    number,
+    said,
+    with_error,
+    with_interval,
+)
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.summary import Part, Summary
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, spaced, time_words
@@ -55,6 +61,11 @@ def headline_of(study: StudyRecord) -> Headline:
     if present is not None:
         status = str(present.verdict)
         answers = list(present.answers)
+    step = _step_to_distinguish(study)
+    if status == Verdict.NOTHING_MISSING and step is not None:
+        *others, use = answers
+        until = f"Until then, {lowered(use.told)}"
+        answers = [*others, replace(step, question=NEXT, detail=until)]
     if study.unestablished and answers[0].severity == GOOD:
         answers[0] = replace(answers[0], severity=LOOK)
     elif study.last.added and status == Verdict.UNEXPLAINED and not study.unestablished:
@@ -71,6 +82,16 @@ def headline_of(study: StudyRecord) -> Headline:
     open_ = undetermined_words(fit, study.train.labels)
     cautions = filter(None, (fit.caution, warning, open_))
     return Headline(status, _discovery(study), tuple(answers), " ".join(cautions))
+
+
+def _step_to_distinguish(study: StudyRecord) -> Answer | None:
+    """What tells an effect that was added from others that do the same, if any does."""
+    for diagnosis in study.diagnoses.values():
+        for finding in diagnosis.findings:
+            is_added = any(one in study.last.added for one in finding.effects)
+            if is_added and not finding.is_name:
+                return diagnosis.next_step
+    return None
 
 
 def stopped_words(study: StudyRecord) -> str:
