@@ -131,6 +131,8 @@ def test_a_base_model_stands_without_inputs_and_has_a_drawing(base: BaseModel) -
     ("rlc", "t [s],u_in [V],u_C [V],i [A]", {"uC": "u_C [V]", "i": "i [A]"}, {"u": "u_in [V]"}),
     ("rlc", "t [s],Spannung [V],Strom [mA]", {"i": "Strom [mA]"}, {"u": "Spannung [V]"}),
     ("motor", "t [s],U [mV],speed [rpm]", {"w": "speed [rpm]"}, {"u": "U [mV]"}),
+    ("motor", "t [s],U [V],Drehzahl [1/min]", {"w": "Drehzahl [1/min]"}, {"u": "U [V]"}),
+    ("pendulum", "t [s],phi [°],n [min⁻¹],M [Nm]", {"q": "phi [°]", "w": "n [min⁻¹]"}, {"u": "M [Nm]"}),
     ("pump-tank", "t [min],level [cm],flow [l/min]", {"h": "level [cm]"}, {"u": "flow [l/min]"}),
     ("pump-tank", "t [s],level [m],pump [V]", {"h": "level [m]"}, {"u": "pump [V]"}),
     ("cell", "t [s],I [A],U [V]", {"U": "U [V]"}, {"I": "I [A]"}),
@@ -153,6 +155,8 @@ def test_columns_are_states_and_inputs_by_name_unit_and_order(
     assert {state: column for state, column in found.items() if column} == states
     assert found.keys() == set(file.base.states), "the others were not measured"
     assert {one: data.column for one, data in file.data.inputs.items()} == inputs
+    of_rotation = [one.unit for one in file.data.states.values() if "min" in one.unit]
+    assert not of_rotation, "a speed of rotation is in rpm"
 
 
 def test_init_lists_the_gallery_and_suggests_a_name() -> None:

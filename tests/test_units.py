@@ -102,6 +102,8 @@ def complaints(path: Path) -> dict[str, str]:
 
 @pytest.mark.parametrize(("unit", "powers", "size"), [
     ("rpm", {"rad": 1, "s": -1}, 2 * np.pi / 60),
+    ("RPM", {"rad": 1, "s": -1}, 2 * np.pi / 60),
+    ("min⁻¹", {"s": -1}, 1 / 60),
     ("deg", {"rad": 1}, np.pi / 180),
     ("°", {"rad": 1}, np.pi / 180),
     ("%", {}, 0.01),

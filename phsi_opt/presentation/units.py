@@ -44,14 +44,14 @@ OF_MECHANICS = frozenset({"kg", "m", "s", RADIAN})
 # blanks, "*", "." or "·".
 FACTOR = re.compile(r"((?:[^\W\d_]|[%‰°])+)(?:(?:\^|\*\*)?(-?\d))?$")
 FACTOR_SEPARATORS = re.compile(r"(?<!\*)\*(?!\*)|[\s.·]+")
-PLAIN_POWERS = str.maketrans("²³", "23", "()")
+PLAIN_POWERS = str.maketrans("²³⁻¹", "23-1", "()")
 LONGEST_UNIT = 60  # letters; a longer text is no unit
 # ---- of pint
 BASE_OF_PINT = {
     **{"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K"},
     "radian": RADIAN,
 }
-CALLED_IN_PINT = {"%": "percent", "‰": "permille", "rev": "turn"}
+CALLED_IN_PINT = {"%": "percent", "‰": "permille", "rev": "turn", "RPM": "rpm"}
 # Words of which pint would make a year, an atomic mass or a coulomb.
 OWN_WORDS = frozenset({"C", "a", "u", "dB"})
 SEVERAL_MEANINGS = frozenset({"g", "F"})  # gravity and Fahrenheit as well

@@ -139,6 +139,8 @@ def give_parts(
             left.remove(column)
             column.part = part
             column.name = name
+            if _is_speed_of_rotation(column, units[name]):
+                column.unit = "rpm"
     for column in left:
         column.lost = column.part
         column.part = UNUSED
@@ -179,8 +181,16 @@ def _is_same(column: Column, wanted: tuple[str, str]) -> bool:
 
 def _is_same_quantity(column: Column, wanted: tuple[str, str]) -> bool:
     """Whether two units are of one quantity: m and mm are."""
+    if _is_speed_of_rotation(column, wanted[1]):
+        return True
     first, second = map(measure_of, (column.unit, wanted[1].removesuffix(OR_ANY)))
     return first is not None and second is not None and first.powers == second.powers
+
+
+def _is_speed_of_rotation(column: Column, wanted: str) -> bool:
+    """Whether it is one in turns per minute, as in German: 1/min, U/min."""
+    turning = map(measure_of, ("1/min", "U/min"))
+    return wanted == "rad/s" and measure_of(column.unit) in turning
 
 
 def _is_perhaps_same(column: Column, wanted: tuple[str, str]) -> bool:
