@@ -383,13 +383,23 @@ def test_files_that_are_no_tables_are_refused_in_words(tmp_path, name, why) -> N
     assert not (tmp_path / "s.toml").exists()
 
 
+def test_init_says_which_values_of_a_base_model_are_taken_for_known(tmp_path) -> None:
+    (tmp_path / "a.csv").write_text("t [s],x [m]\n0,1\n1,2\n2,1\n")
+    study = tmp_path / "s.toml"
+    told = said("init", tmp_path / "a.csv", "-o", study, "--model", "mass").out
+    assert "replace them by those of your machine: m = 1 kg\n" in told
+    (tmp_path / "a.csv").write_text("t [s],x [m],F [N]\n0,1,1\n1,2,3\n2,1,2\n")
+    measured = ("init", tmp_path / "a.csv", "-o", study, "--model", "mass", "--force")
+    assert "Known values" not in said(*measured).out
+
+
 # ---- check and add -------------------------------------------------------------------
 
 
 def test_check_says_what_a_study_file_holds(demo: Path) -> None:
     result = said("check", demo)
     assert result.code == ExitCode.DONE
-    assert "unknown parameters: k, c" in result.out
+    assert "unknown parameters: k, c\nknown parameters: m = 2.5\n" in result.out
     content = json.loads(said("check", demo, "--json").out)
     assert content["free"] == ["k", "c"]
     assert content["measured"] == ["q"]

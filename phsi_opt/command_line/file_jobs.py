@@ -30,7 +30,7 @@ from phsi_opt.reading import file_bytes, why_not_read
 from phsi_opt.study_file.gallery import GALLERY, base_model
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.survey import check_alike, first_text, survey, unfilled
-from phsi_opt.study_file.toml_text import add_effects
+from phsi_opt.study_file.toml_text import add_effects, tables_of
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.writing import make_folder, write_new, write_whole
 
@@ -81,6 +81,7 @@ def first_study(
     shown = _shown(data, study, draws)
     facts = {"table": table, "study": study, "path": tables[0], "needs": needs}
     facts |= {"data": data, "picture": shown.get("picture")}
+    facts["known"] = _known_values(study)
     content = {
         "study_file": str(study),
         "read": {one.key: one.content for one in table.read},
@@ -89,6 +90,17 @@ def first_study(
         "needs": list(map(vars, needs)),
     }
     return Answer(lines(__package__, "first_study", **facts), content | shown)
+
+
+def _known_values(study: Path) -> list[str]:
+    """The parameters of a study file that are not estimated, such as "m = 1 kg"."""
+    known = []
+    for name, one in tables_of(study).get("parameters", {}).items():
+        told = one if isinstance(one, dict) else {"value": one}
+        value = told.get("value", told.get("start") if told.get("fixed") else None)
+        if value is not None:
+            known.append(f"{name} = {value} {told.get('unit', '')}".rstrip())
+    return known
 
 
 def _shown(data: object, study: Path, draws: bool) -> dict[str, object]:
@@ -173,6 +185,7 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
         held_out=held_out,
         final=final,
         content=content,
+        known=_known_values(path),
         kind=type(model).__name__,
         n_effects=len(catalogue(model, train.units)),
         notes=notes,
