@@ -159,6 +159,28 @@ def test_runs_follow_the_shifted_input(hold: str) -> None:
 
 
 @pytest.mark.parametrize("hold", ["zero", "linear", "cubic"])
+def test_a_part_of_a_run_knows_the_inputs_before_it(hold: str) -> None:
+    t = 0.5 * np.arange(120)
+    u = np.repeat(np.random.default_rng(1).normal(size=20), 6)
+    late = first_order(L=4.2).with_values({"K": 1.0, "T": 2.0})
+    x = ph.simulate(late, t, [0.3], u[:, None], hold=hold)
+    data = ph.Measurements.from_arrays(
+        t, x, u[:, None], states=["x"], inputs=["u"], hold=hold,
+        units={"t": "min", "x": "m", "u": "mm"},
+    )  # fmt: skip
+    for parts in (
+        data.split(0.5),
+        (data.between(None, 29.6), data.between(29.6, None)),
+    ):
+        later = parts[1]
+        fit = ph.identify(late, later)
+        assert np.abs(ph.compare(fit, later).residuals[0]).max() < 1e-3
+        past = later.in_si().trajectories[0].past
+        assert past[-1] == pytest.approx([60 * 29.5, u[59] / 1000])
+    assert not len(parts[0].trajectories[0].past)
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear", "cubic"])
 def test_a_line_moves_as_its_slopes_say(hold: str) -> None:
     t = np.array([0.0, 1.0, 2.5, 3.0, 4.0, 5.0])
     curve = InputCurve(t, np.array([1.0, -2.0, 0.5, 4.0, 3.0, 3.0]), hold)

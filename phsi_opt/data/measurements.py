@@ -29,12 +29,11 @@ from phsi_opt.data.checks import (
     hold_of_each,
     numbered_names,
 )
-from phsi_opt.data.noticed import DataLook
+from phsi_opt.data.noticed import DataLook, breaks_of
 from phsi_opt.data.table_readers import TableReaders
 from phsi_opt.data.trajectory import (
     Trajectory,
     check_channels,
-    part_of,
     run_numbers,
     trajectories_in_arrays,
 )
@@ -191,7 +190,7 @@ class Measurements(TableReaders, Summarised):
         digest = hashlib.sha256()
         for run in self.trajectories:
             digest.update(run.name.encode())
-            for array in (run.t, run.x, run.u):
+            for array in (run.t, run.x, run.u, run.past):
                 digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
 
@@ -253,10 +252,13 @@ class Measurements(TableReaders, Summarised):
         runs = []
         for run in self.trajectories:
             t, x, u = map(np.array, (run.t, run.x, run.u))
-            for name, values in zip(self.units, (t, *x.T, *u.T), strict=True):  # views
+            past = np.array(run.past)
+            names = (*self.units, "t", *self.inputs)
+            columns = (t, *x.T, *u.T, *past.T)  # views
+            for name, values in zip(names, columns, strict=True):
                 if name in converted:
                     values[:] = converted[name](values)
-            runs.append(replace(run, t=t, x=x, u=u))
+            runs.append(replace(run, t=t, x=x, u=u, past=past))
         noise = dict(self.noise or {})
         for name in noise.keys() & converted.keys():
             noise[name] = converted[name](noise[name]) - converted[name](0.0)
@@ -326,8 +328,8 @@ class Measurements(TableReaders, Summarised):
                 "a split in time needs at least 4."
             )
         n_train = _size_of_first(run.n_samples, fraction, at_least=2)
-        train = part_of(run, slice(n_train))
-        test = part_of(run, slice(n_train, None))
+        train = _part_of(run, 0, n_train)
+        test = _part_of(run, n_train, run.n_samples)
         return self._of([train]), self._of([test])
 
     def between(self, begin: float | None, end: float | None) -> Self:
@@ -557,7 +559,18 @@ def _between(run: Trajectory, first: float, last: float) -> Trajectory:
             f"{run.t[-1]:g}; choose other times, or select trajectories first: "
             "data[name]."
         )
-    return part_of(run, slice(begin, end))
+    return _part_of(run, begin, end)
+
+
+def _part_of(run: Trajectory, begin: int, end: int) -> Trajectory:
+    """Some samples of a trajectory, at least 2, with the inputs before them."""
+    rows = slice(begin, end)
+    breaks = breaks_of(run)
+    known = int(np.max(breaks[breaks < begin] + 1, initial=0))
+    past = np.column_stack([run.t, run.u])[known:begin]
+    if not known:
+        past = np.vstack([run.past, past])
+    return replace(run, t=run.t[rows], x=run.x[rows], u=run.u[rows], past=past)
 
 
 def _thinned_run(run: Trajectory, n: int, width: int, hold: np.ndarray) -> Trajectory:

@@ -7,8 +7,8 @@ integration steps, of which those that continue each other become one trajectory
 
 import datetime as dt
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,8 @@ class Trajectory:
         u: Inputs, (n_samples, n_inputs), or (n_samples,) for a single input.
         origin: The date at which t is 0, if the times were dates; otherwise None.
         remark: What its reader noticed, such as a clock that begins anew.
+        past: Times and inputs before t[0], (n, 1 + n_inputs), as far as they are known:
+            delayed inputs come from there.
 
     Raises:
         DataError: The name is not a text, an array is not real or has another shape, or
@@ -50,6 +52,7 @@ class Trajectory:
     u: np.ndarray
     origin: dt.datetime | None = None
     remark: str = ""
+    past: np.ndarray = field(default_factory=partial(np.empty, (0, 0)))
 
     def __post_init__(self) -> None:
         is_text = isinstance(self.name, str) and self.name
@@ -62,6 +65,8 @@ class Trajectory:
         for label, n_axes in (("t", 1), ("x", 2), ("u", 2)):
             array = read_only_floats(getattr(self, label), n_axes, f"{title}: {label}")
             object.__setattr__(self, label, array)
+        past = self.past if len(self.past) else np.empty((0, 1 + self.u.shape[1]))
+        object.__setattr__(self, "past", read_only_floats(past, 2, f"{title}: past"))
         for label in ("x", "u"):
             n_rows = len(getattr(self, label))
             if n_rows != self.n_samples:
@@ -103,12 +108,7 @@ class Trajectory:
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because unpickled arrays would be writeable."""
         arrays = (self.t, self.x, self.u)
-        return type(self), (self.name, *arrays, self.origin, self.remark)
-
-
-def part_of(run: Trajectory, rows: slice) -> Trajectory:
-    """The trajectory of some of the samples, at least 2, under the same name."""
-    return replace(run, t=run.t[rows], x=run.x[rows], u=run.u[rows])
+        return type(self), (self.name, *arrays, self.origin, self.remark, self.past)
 
 
 def run_numbers(runs: Sequence[Trajectory]) -> np.ndarray:

@@ -63,7 +63,8 @@ def free_runs(
             x0 = known[begin]
             try:
                 t, u = run.t[begin:end], run.u[begin:end]
-                x = free_run(own, t, x0, u, data.hold)
+                past = run.past if begin == 0 else None
+                x = free_run(own, t, x0, u, data.hold, past)
             except SolveError:
                 is_first = np.arange(end - begin)[:, None] == 0
                 x = np.where(is_first, x0, 1e3 * np.nanstd(run.x))

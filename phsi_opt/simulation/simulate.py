@@ -101,8 +101,11 @@ def simulate_forced(
     *,
     hold: Hold = "linear",
     method: str = "LSODA",
+    past: np.ndarray | None = None,
 ) -> np.ndarray:
     """`simulate` with a force (t, x, u) -> (n_states,) that may depend on the inputs.
+
+    And with the past of a `Trajectory`, from which delayed inputs come.
 
     Raises:
         DataError: wrong shapes, times or numbers.
@@ -115,7 +118,7 @@ def simulate_forced(
         pieces = [(0, len(t) - 1, _with_delayed(model, u, t[0]), longest)]
         samples = np.arange(len(t))
     else:
-        inputs = SampledInputs.of(model, t, u, held)
+        inputs = SampledInputs.of(model, t, u, held, past)
         t, samples = inputs.t, inputs.samples
         pieces = list(inputs.pieces())
     f = BufferedFunction(model.rhs())
@@ -168,17 +171,30 @@ class SampledInputs:
 
     @classmethod
     def of(
-        cls, model: Model, t: np.ndarray, u: np.ndarray, hold: np.ndarray
+        cls,
+        model: Model,
+        t: np.ndarray,
+        u: np.ndarray,
+        hold: np.ndarray,
+        past: np.ndarray | None = None,
     ) -> "SampledInputs":
-        """From samples (n_samples, n_inputs), and what each input does between them."""
-        curves = list(map(partial(InputCurve, t), u.T, hold))
+        """From samples (n_samples, n_inputs), and what each input does between them.
+
+        Also from times and inputs before them (n, 1 + n_inputs), where these are known.
+        """
+        known = np.column_stack([t, u])
+        if past is not None:
+            known = np.vstack([past, known])
+        at, *inputs = known.T
+        curves = list(map(partial(InputCurve, at), inputs, hold))
         moments = t
         for name, delay in model.delays:
-            past = curves[model.inputs.index(name)]
-            late = replace(past, t=t + model.values[delay])
+            own = curves[model.inputs.index(name)]
+            late = replace(own, t=at + model.values[delay])
             after = np.searchsorted(moments, late.t).clip(1, len(moments) - 1)
             apart = np.abs(late.t - moments[[after - 1, after]]).min(axis=0)
-            new = late.t[(apart > past.instant) & (late.t < t[-1])]
+            is_within = (t[0] < late.t) & (late.t < t[-1])
+            new = late.t[(apart > own.instant) & is_within]
             moments = np.union1d(moments, new)
             curves.append(late)
         if model.delays:
@@ -376,9 +392,16 @@ CHUNK = 500
 
 
 def free_run(
-    model: Model, t: Any, x0: Any, u: Any = None, hold: Hold = "linear"
+    model: Model,
+    t: Any,
+    x0: Any,
+    u: Any = None,
+    hold: Hold = "linear",
+    past: np.ndarray | None = None,
 ) -> np.ndarray:
     """`simulate`, accurate to about 1e-6 by steps built once where they serve.
+
+    From the past of a `Trajectory`, if there is one.
 
     Raises:
         DataError: wrong shapes, times or numbers, as in `simulate`.
@@ -388,8 +411,10 @@ def free_run(
     of_each = hold_of_each(hold, model.inputs)
     theta = tuple(model.theta.tolist())
     runs = _runs_of(model.rhs(), theta, get_ident())
-    found = runs.run(SampledInputs.of(model, times, inputs, of_each), start)
-    return simulate(model, t, x0, u, hold=hold) if found is None else found
+    found = runs.run(SampledInputs.of(model, times, inputs, of_each, past), start)
+    if found is not None:
+        return found
+    return simulate_forced(model, t, x0, u, None, hold=hold, past=past)
 
 
 def rates(rhs: ca.Function, theta: np.ndarray) -> ca.Function:

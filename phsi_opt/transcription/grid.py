@@ -256,9 +256,12 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
         nodes = stretch == number
         own = nodes[begin]
         samples = left[nodes & (place == 0)]
-        curves = tuple(
-            map(partial(InputCurve, times[samples]), sampled[samples].T, hold)
-        )
+        known = np.column_stack([times, sampled])[samples]
+        if samples[0] in first:
+            run = data.trajectories[trajectory[np.argmax(nodes)]]
+            known = np.vstack([run.past, known])
+        at, *inputs = known.T
+        curves = tuple(map(partial(InputCurve, at), inputs, hold))
         for k in np.flatnonzero(hold == "cubic"):
             u[nodes, k] = curves[k].after(t[nodes])
             ends = curves[k].lines(t[begin[own]], t[begin[own] + 1])
@@ -434,7 +437,9 @@ def aligned(model: Model, data: Measurements) -> Measurements:
     for run in data.trajectories:
         not_measured = np.full((run.n_samples, len(lacking)), np.nan)
         x = np.column_stack([run.x, not_measured])[:, state_columns]
-        trajectories.append(replace(run, x=x, u=run.u[:, input_columns]))
+        past = run.past[:, [0, *(1 + k for k in input_columns)]]
+        own = replace(run, x=x, u=run.u[:, input_columns], past=past)
+        trajectories.append(own)
     kept = {"t", *model.states, *model.inputs}
     hold = data.hold
     if not isinstance(hold, str):
