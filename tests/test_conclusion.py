@@ -286,10 +286,14 @@ def test_an_effect_whose_re_fit_fails_gives_way_to_the_next(monkeypatch) -> None
         "viscous damping on p": (
             "the data do not determine it: viscous damping in the equation of p ends at a limit of its range"
         ),
-        "cubic stiffness on p": "could not be re-fitted",
+        "cubic stiffness on p": "the fit failed",
     }
     kept = Case(tied[:1], std_errors={str(PUSH): 1.05}).concluded(monkeypatch)
     assert kept.verdict == NAMED
+    open_ = Case(tied[:1], std_errors={str(PUSH): np.nan}).concluded(monkeypatch)
+    assert lost(open_) == {
+        "constant force on p": "the data do not determine its size",
+    }
 
 
 # ---- named, but not alone
@@ -357,7 +361,7 @@ def test_effects_are_named_that_explain_enough_together_alone(monkeypatch) -> No
     )
     assert case.concluded(monkeypatch).findings == ()
     assert said == [
-        f"{told(DAMPER)} and {told(SPRING)} together were skipped: could not be re-fitted"
+        f"{told(DAMPER)} and {told(SPRING)} together were skipped: the fit failed"
     ]
 
 

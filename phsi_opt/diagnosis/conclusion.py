@@ -58,6 +58,7 @@ from phsi_opt.screening.weighing import EvidenceRecord
 
 WEAK = "its evidence is only"  # begins why an effect is rejected that is not decisive
 UNSURE = "its size, {}, does not differ significantly from zero"
+UNDETERMINED = "the data do not determine its size"
 
 
 def concluded(
@@ -271,7 +272,7 @@ class _Judge:
         """The base with effects that were weighed; or why they are rejected."""
         larger = refit(self.base, one)
         if larger is None:
-            return "could not be re-fitted"
+            return "the fit failed"
         if thorough:
             larger = thorough_refit(larger)
         base, fit = self.base.fit.model, larger.fit
@@ -280,6 +281,8 @@ class _Judge:
             at_bounds = fit.outcome.at_bounds
             lost = at_limit(fit.model, new, at_bounds, self.base.labels)
             size = fitted_size(base, fit, effect)
+            if not np.isfinite(size.std_error):
+                return lost or UNDETERMINED
             if lost or not size.z >= SURE_DEVIATIONS:
                 return lost or UNSURE.format(size)
         return larger

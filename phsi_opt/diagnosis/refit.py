@@ -278,6 +278,7 @@ class WeighedEffects(Protocol):
         """States along the record, (n_nodes, n_states); None if they are the base's."""
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a size that nothing determines
 def refit(base: DiagnosedModel, candidate: WeighedEffects) -> DiagnosedModel | None:
     """The base model with effects more, fitted; None where that fails, which is said.
 
