@@ -213,7 +213,7 @@ def test_runs_stand_one_after_another_on_one_scale_of_time() -> None:
     first, second = line.x[:gap], line.x[gap + 1 :]
     assert np.ptp(first) == pytest.approx(2 * np.ptp(second), rel=0.01)
     assert -0.5 < first[0] < first[-1] < 0.5 < second[0] < second[-1] < 1.5
-    assert chart.x_label == "runs one after another, up to 9.99 s long"
+    assert chart.x_label == "runs in turn, up to 9.99 s long"
 
 
 def test_what_is_held_out_is_marked_with_its_times() -> None:

@@ -436,10 +436,10 @@ def test_a_picture_for_paper_has_plain_numbers_and_no_zero_far_from_its_curves()
     errors = errors_chart(steps, "m")
     assert "mathdefault" not in svg(errors)
     assert errors.panels[0].label == "error, on a log scale (m)"
-    assert errors.panels[0].curves[-1].group == "noise floor 0.0500 m"
+    assert errors.panels[0].curves[-1].group == "noise floor 0.0500"
     near = errors_chart([ErrorStep("a", 2, 1.9, 1), ErrorStep("b", 1, 1.1, 1)], "degC")
     train, held_out, floor = near.panels[0].curves
-    assert floor.band == "noise floor of held-out data 1.00 °C"
+    assert floor.band == "noise floor of held-out data 1.00"
     assert train.is_below == (False, True)
     assert held_out.is_below == (True, False)
     t = np.linspace(0.0, 1.0, 9)

@@ -96,10 +96,10 @@ def _axis(
     cells = np.arange(len(runs)) - width * lengths / longest / 2
     x = cells[look.run] + width * (look.t - begins[look.run]) / longest
     each = "each" if np.ptp(lengths) < 0.01 * longest else "up to"
-    x_label = f"runs one after another, {each} {time_words(longest, unit)} long"
+    x_label = f"runs in turn, {each} {time_words(longest, unit)} long"
     if np.ptp(begins) == 0 and each == "each":
         within = times_words(begins[0], begins[0] + longest, unit)
-        x_label = f"runs one after another, each from {within}"
+        x_label = f"runs in turn, each from {within}"
     if len(runs) > 200:
         return x + 1, f"number of the run; {x_label}", ()
     every = -(-len(runs) // most_names)

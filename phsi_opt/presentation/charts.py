@@ -33,10 +33,9 @@ from phsi_opt.presentation.numbers import (
     number,
     proper_names,
     shortened,
-    typeset,
     with_interval,
 )
-from phsi_opt.presentation.units import date_words, spaced
+from phsi_opt.presentation.units import date_words
 
 # Contrast to white and to #16191d at least 3:1, as WCAG asks of graphics.
 MEASURED = "#7a828c"  # grey: what was measured, and what stands for comparison
@@ -160,8 +159,7 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
         curves.append(Curve("final test", x, final, ATTENTION, "dot"))
     ends = np.array([one.floor_ends for one in steps])
     ends = np.where(np.isfinite(ends), ends, floor[:, None])
-    interval = with_interval(floor[-1], ends[-1], typeset(spaced(unit)))
-    band = f"noise floor{of} {interval}"
+    band = f"noise floor{of} {with_interval(floor[-1], ends[-1])}"
     ends = np.pad(ends, ((1, 1), (0, 0)), mode="edge")
     wide = np.r_[-0.5, x, n - 0.5]  # a band where there is one step too
     middle = ends.mean(axis=1)
