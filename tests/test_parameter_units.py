@@ -250,6 +250,13 @@ def test_speeds_and_lengths_of_an_effect_are_told_in_the_unit_of_the_position(
         assert found.size == pytest.approx(1e-3 if unit == "mm" else np.pi / 180)
 
 
+def test_what_is_compared_with_an_input_is_told_in_its_unit() -> None:
+    tank = ph.FirstOrder(["h"], {"h": "g*u - a*h"}, inputs=["u"], kind="hydraulic")
+    units = in_si({"t": "s", "h": "cm", "u": "l/min"})
+    dead_zone = effect_named(tank, "input dead zone", "h")
+    assert scale_of(size_unit(tank, dead_zone, units)).unit == "l/min"
+
+
 def test_rates_of_a_speed_are_told_in_its_unit() -> None:
     units = in_si({"t": "s", "w": "deg/s", "u": "V"})
     larger = motor().add(effect_named(motor(), "constant force", "w"))

@@ -96,17 +96,18 @@ def _without_angles(unit: str) -> Powers:
 def named_units(
     equation: str, model: BaseModel, units: Mapping[str, str]
 ) -> Sequence[str]:
-    """Of states, the time, rates, and what drives it, also per unit of inputs."""
+    """Of states, the time, rates, what drives it, also per unit of inputs, of these."""
     state, time = units.get(equation, ""), units.get("t", "")
     drive = drive_of(state)
     others = [units.get(name, "") for name in model.states]
     rates = [unit_of_rate(one, time) for one in (state, "1", *others)]
     per_input = [unit_per(drive, time, 1)] if drive and time else []
-    for u in filter(None, map(units.get, model.inputs)):
+    inputs = list(filter(None, map(units.get, model.inputs)))
+    for u in inputs:
         for above in filter(None, (drive, rates[0], state)):
             per_input += [unit_per(above, u, 1), unit_per(above, u, 2)]
     heats = HEATS if drive == "W" else ()
-    return (state, time, *rates, *heats, *per_input, *others)
+    return (state, time, *rates, *heats, *per_input, *others, *inputs)
 
 
 def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
