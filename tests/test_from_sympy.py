@@ -157,6 +157,10 @@ def test_a_model_from_sympy_is_identified_from_its_motion() -> None:
 
 relativistic = LagrangesMethod(-m * sp.sqrt(1 - x.diff() ** 2), [x])
 constrained = LagrangesMethod(x.diff() ** 2 / 2, [x, q], hol_coneqs=[x - q])
+belt = sp.Symbol("v")
+on_a_belt = LagrangesMethod(m * x.diff() ** 2 / 2 - belt * x, [x])
+momentum = LagrangesMethod(m * x.diff() ** 2 / 2 - sp.Symbol("p") * x, [x])
+swept = LagrangesMethod(m * x.diff() ** 2 / 2 - dynamicsymbols("v") * x, [x])
 massless = LagrangesMethod(m * x.diff() ** 2 / 2 - k * q**2, [x, q])
 
 
@@ -175,6 +179,11 @@ massless = LagrangesMethod(m * x.diff() ** 2 / 2 - k * q**2, [x, q])
     ((spring(), [x]), "a LagrangesMethod has its own"),
     ((relativistic,), "is not quadratic in the velocities"),
     ((constrained,), "has a constraint on .*; choose independent coordinates"),
+    ((on_a_belt,), "symbol v in the Lagrangian has the name of a function of time"),
+    ((momentum,), "symbol p in the Lagrangian has the name of a function of time"),
+    (([sp.Symbol("q"), x], [x, q]), "symbol q in dx/dt has the name of a function"),
+    (([F - x, sp.Symbol("F")], [x, q]), "symbol F in dq/dt has the name of a function"),
+    ((swept,), "the name 'v' is used 2 times"),
     ((massless,), "is singular: not every one of the coordinates x, q"),
 ])  # fmt: skip
 def test_what_formulas_cannot_hold_is_refused_by_name(

@@ -6,7 +6,7 @@ Classical Mechanics, section 8.1). What has no energy of that form becomes rates
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import repeat
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phsi_opt.arguments import typed
-from phsi_opt.data.checks import checked_names
+from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.errors import ModelError, shown
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS, names_of
 from phsi_opt.model.mechanics import energy_model, require_used
@@ -62,9 +62,10 @@ def from_sympy(
             Symbols that are not given are free parameters.
 
     Raises:
-        ModelError: a symbol's name cannot be used in a formula, an expression has a
-            function or a derivative that formulas lack, the Lagrangian is not quadratic
-            in the velocities, there are constraints, or the masses are singular.
+        ModelError: a symbol's name cannot be used in a formula or is that of a state or
+            an input, an expression has a function or a derivative that formulas lack,
+            the Lagrangian is not quadratic in the velocities, there are constraints, or
+            the masses are singular.
 
     Examples:
         >>> from sympy import cos, symbols
@@ -157,6 +158,9 @@ def _of_lagrange(
     endings = [f"_{name}" if len(q) > 1 else "" for name in names.states]
     v = list(sp.symbols(list(map("v{}".format, endings)), real=True))
     p = list(sp.symbols(list(map("p{}".format, endings)), real=True))
+    own = list(map(str, (*p, *v)))
+    check_unique((*names.states, *own, *names.inputs), "name", ModelError)
+    names.of_time.update(own)
     for coordinate, velocity in zip(q, v, strict=True):
         names.velocities[coordinate.diff(dynamicsymbols._t)] = velocity
     energies, outside = _hamiltonian(
@@ -221,10 +225,14 @@ def _hamiltonian(
 
 @dataclass(frozen=True)
 class _Names:
-    """Names of the states and inputs, and the symbols of known derivatives."""
+    """Names of the states and inputs, and the symbols of known derivatives.
+
+    ``of_time`` are names of functions of time, which no symbol can have too.
+    """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
+    of_time: set[str]
     velocities: "dict[sp.Expr, sp.Symbol]" = field(default_factory=dict)
 
     @classmethod
@@ -232,7 +240,7 @@ class _Names:
         cls,
         states: Sequence[Any],
         inputs: Sequence[Any] | None,
-        expressions: "Iterable[sp.Expr]",
+        expressions: "Sequence[sp.Expr]",
         known: Mapping[str, Parameter],
     ) -> "_Names":
         """The inputs are found in the expressions where they are not given."""
@@ -242,15 +250,15 @@ class _Names:
         time = dynamicsymbols._t
         of_states = list(map(_name, states))
         of_inputs = list(map(_name, inputs or ()))
+        functions = set().union(*(one.atoms(AppliedUndef) for one in expressions))
+        functions |= {one for one in states if isinstance(one, AppliedUndef)}
+        of_time = {_name(one) for one in functions if one.args == (time,)}
         if inputs is None:
-            found = set()
-            for one in expressions:
-                for function in one.atoms(AppliedUndef):
-                    found |= {_name(function)} if function.args == (time,) else set()
-                words = map(str, one.free_symbols)
-                found |= set(filter(re.compile(r"u\d*").fullmatch, words))
-            of_inputs = sorted(found - {*of_states, *known})
-        return cls(_checked(of_states, "states"), _checked(of_inputs, "inputs"))
+            symbols = set().union(*(one.free_symbols for one in expressions))
+            words = filter(re.compile(r"u\d*").fullmatch, map(str, symbols))
+            of_inputs = sorted({*of_time, *words} - {*of_states, *known})
+        checked = (_checked(of_states, "states"), _checked(of_inputs, "inputs"))
+        return cls(*checked, of_time)
 
     def plain(self, expression: "sp.Expr", what: str) -> "sp.Expr":
         """An expression in real symbols by their names.
@@ -263,7 +271,8 @@ class _Names:
         from sympy.core.function import AppliedUndef
         from sympy.physics.mechanics import dynamicsymbols
 
-        plain = expression.doit().xreplace(self.velocities)
+        done = expression.doit()
+        plain = done.xreplace(self.velocities)
         for derivative in sorted(plain.atoms(sp.Derivative), key=str):
             raise ModelError(
                 f"{derivative} in {what} is no state, input or parameter; replace it "
@@ -279,8 +288,13 @@ class _Names:
                     "of time. Write it as an expression."
                 )
             symbols[one] = sp.Symbol(_name(one), real=True)
-        for one in sorted(plain.free_symbols - {time}, key=str):
+        for one in sorted(done.free_symbols - {time}, key=str):
             _checked([one.name], "symbols")
+            if one.name in self.of_time:
+                raise ModelError(
+                    f"the symbol {one} in {what} has the name of a function of time: "
+                    "a coordinate, velocity, momentum or input. Rename it."
+                )
             symbols[one] = sp.Symbol(one.name, real=True)
         return plain.xreplace(symbols)
 

@@ -171,7 +171,7 @@ def require_used(names: Iterable[str], model: BaseModel) -> None:
     for name in sorted(set(names) - model.entries.keys()):
         raise ModelError(
             f"parameter {name!r} is in none of the formulas; they have "
-            f"{', '.join(model.entries)}. Correct the name, or remove it."
+            f"{', '.join(model.entries) or 'none'}. Correct the name, or remove it."
         )
 
 
