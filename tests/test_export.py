@@ -56,14 +56,17 @@ def spring() -> ph.Fit:
 
 LAG = {"u_lagged": ph.formula("(u - u_lagged)/tau", tau=ph.Parameter(0.2))}
 MODELS = {
-    # words of the languages, a Greek letter, |q|^n / |q| at q = 0, corners, the time
+    # words of the languages, a Greek letter, |q|^n / |q| at q = 0, corners, the time, a
+    # number beyond the integers of C
     "awkward names": ph.PseudoHamiltonian(
         states=["input", "double"],
         inputs=["\u03b8"],
         S=ph.canonical(1),
         H="flow*max(input, 0)**2 + 4*abs(input)**n + 2**input + double**2/2",
         R={"double": "0.1 + 0.1*sign(double)**2"},
-        F={"double": "\u03b8*cos(t) + 0.1*atan(pi*t) - min(input, 1)"},
+        F={
+            "double": "\u03b8*cos(t) + 0.1*atan(pi*t) - min(input, 1) + min(double, 1e20)"
+        },
         sensor={"input": "time + 0.1*dH_ddouble"},
     ).with_values({"flow": 2.0, "n": 2.5, "time": 0.1}),
     "delayed input, held": driven("delayed(u, tau)", tau=ph.Parameter(0.17)),

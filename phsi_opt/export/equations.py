@@ -171,9 +171,10 @@ def _plain(expression: sp.Expr, where: str) -> sp.Expr:
     changed = changed.replace(sp.DiracDelta, lambda *_: sp.Integer(0))
     changed = changed.replace(lambda part: part.is_Mul, _by_base)
     numbers = {}
-    for one in changed.atoms(sp.NumberSymbol, sp.Float):
+    for one in changed.atoms(sp.NumberSymbol, sp.Float, sp.Integer):
         value = float(one)
-        numbers[one] = sp.Integer(value) if value.is_integer() else sp.Float(value)
+        is_int = value.is_integer() and abs(value) < 2**31
+        numbers[one] = sp.Integer(value) if is_int else sp.Float(value)
     changed = changed.xreplace(numbers)
     known = {sp.sin, sp.cos, sp.tan, sp.atan, sp.exp, sp.log, sp.sinh, sp.cosh, sp.tanh}
     known |= {sp.Abs, sp.sign, sp.Min, sp.Max}
