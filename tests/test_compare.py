@@ -219,3 +219,20 @@ def test_a_prediction_for_new_inputs_is_as_uncertain_as_its_parameters() -> None
     (line,) = [one for one in ax.get_lines() if one.get_label() == "prediction"]
     np.testing.assert_array_equal(line.get_ydata(), found.states[:, 0])
     plt.close("all")
+
+
+def test_a_prediction_by_the_means_of_the_runs_is_as_uncertain_as_these() -> None:
+    t = np.linspace(0, 4, 100)
+    own = ph.Parameter(1.0, per_trajectory=True)
+    model = ph.FirstOrder(["x"], {"x": ph.formula("a - x/2", a=own)})
+    rng = np.random.default_rng(6)
+    runs = []
+    for a in (1.0, 1.2, 1.4):
+        exact = ph.simulate(model.with_values({"a": a}), t, [0.0])
+        runs.append(exact + rng.normal(0, 0.05, (100, 1)))
+    fit = ph.identify(model, ph.Measurements.from_arrays([t] * 3, runs, states=["x"]))
+    slope = 2 * (1 - np.exp(-t / 2))  # of x in a
+    for trajectory, share in ((None, np.full(3, 1 / 3)), (1, np.eye(3)[1])):
+        std = fit.predict(t, [0.0], trajectory=trajectory).std[:, 0]
+        expected = slope * np.sqrt(share @ fit.covariance @ share)
+        np.testing.assert_allclose(std, expected, rtol=1e-3, atol=1e-9)

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -534,15 +535,17 @@ class Fit(Identified, WithResiduals, Summarised):
         """
         states = self.simulate(t, x0, u, trajectory)
         model = self.model if trajectory is None else self.model_of(trajectory)
-        run = "" if trajectory is None else self._trajectory_name(trajectory)
-        variances = dict(zip(self.names, np.diag(self.covariance), strict=True))
-        known = {}  # names of the model, with those of the estimates
-        for name in model.free:
-            estimate = name if name in variances else f"{name}[{run}]"
-            if variances.get(estimate, 0.0) > 0:
-                known[name] = self.names.index(estimate)
-        places = list(known.values())
-        covariance = self.covariance[np.ix_(places, places)]
+        runs = list(self.by_trajectory)
+        if trajectory is not None:
+            runs = [self._trajectory_name(trajectory)]
+        of_names = np.zeros((len(model.free), len(self.names)))
+        for name, row in zip(model.free, of_names, strict=True):
+            own = [name] if name in self.names else [f"{name}[{run}]" for run in runs]
+            row[list(map(self.names.index, own))] = 1 / len(own)
+        covariance = of_names @ np.nan_to_num(self.covariance) @ of_names.T
+        is_known = np.diag(covariance) > 0
+        known = list(compress(model.free, is_known))
+        covariance = covariance[np.ix_(is_known, is_known)]
         sd = np.sqrt(np.diag(covariance))
         sizes, directions = np.linalg.eigh(covariance / np.outer(sd, sd))
         short = 0.01  # of a standard deviation: far above the tolerance of the solver
