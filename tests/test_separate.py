@@ -42,12 +42,13 @@ def positions(
     u: np.ndarray | None = None,
     keep: int = 0,
     offset: float = 0.0,
+    seed: int = 0,
 ) -> ph.Measurements:
     """Noisy positions along a simulation, of which the last ``keep`` samples are kept
     (0: all).
     """
     x = free_run(model, t, x0, u)[-keep:] + np.array([offset, np.nan])
-    x = x + NOISE * np.random.default_rng(0).normal(size=x.shape)
+    x = x + NOISE * np.random.default_rng(seed).normal(size=x.shape)
     inputs, kept = (None, None) if u is None else (["u"], [u[-keep:]])
     about: Any = {"states": ["q", "p"], "inputs": inputs, "units": {"t": "s", "q": "m"}}
     return ph.Measurements.from_arrays([t[-keep:] - t[-keep]], [x], kept, **about)
@@ -195,7 +196,11 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"limits": {"u": 3.0}}, r"limits\['u'\]"),
     ({"limits": {"force": (0.0, 1.0)}}, "force"),
     ({"limits": {"t": 0.001}}, "duration above 0.04 s"),
+    ({"limits": {"t": np.inf}}, "a finite duration"),
     ({"start": {"v": 0.0}}, "state 'v'"),
+    ({"start": {"q": np.nan}}, r"start\['q'\]=nan"),
+    ({"limits": {"q": (-0.1, 0.1)}, "start": {"q": 1.0}}, r"start\['q'\]=1.0 .* 0\.1"),
+    ({"limits": {"q": (4.0, 5.0)}}, r"start\['q'\]=.* limits of q, 4 to 5"),
     ({"sharpen": "mass"}, "parameter 'mass'"),
 ]
 
@@ -208,8 +213,54 @@ def test_limits_that_cannot_be_are_named(
         next_experiment(*resonant, SIGMA, **given)
 
 
-def test_limits_that_the_start_breaks_are_told(
-    resonant: tuple[Fits, ph.Measurements],
-) -> None:
-    with pytest.raises(ph.SolveError, match=r"q -0\.1 to 0\.1"):
-        next_experiment(*resonant, SIGMA, {"q": (-0.1, 0.1)}, {"q": 1.0})
+def test_without_limits_the_motion_of_the_model_is_within_the_range_of_the_data() -> (
+    None
+):
+    model = spring(k=ph.Parameter(40.0, lower=0), **DRIVEN)
+    t = np.linspace(0.0, 8.0, 161)
+    u = 0.1 * np.sin(t)[:, None]
+    for seed in range(3):  # the noise of the largest samples decides
+        data = positions(model, t, [1.0, 0.0], u, seed=seed)
+        fits = {"spring": ph.identify(model, data)}
+        found = next_experiment(fits, data, SIGMA, sharpen="k")
+        assert found.std_errors["k"][1] < found.std_errors["k"][0]
+
+
+def test_expected_errors_are_those_of_all_runs_and_the_experiment() -> None:
+    model = spring(k=ph.Parameter(40.0, lower=0), **DRIVEN)
+    t = np.linspace(0.0, 4.0, 81)
+    u = np.sin(2 * t)[:, None]
+    noisy = [
+        positions(model, t, [0.2, 0.0], u, seed=seed).trajectories[0].x
+        for seed in range(6)
+    ]
+    runs = [t] * 7, [*noisy, noisy[0]], [u] * 7  # the last is a copy, used once
+    names: Any = {"states": ["q", "p"], "inputs": ["u"]}
+    data = ph.Measurements.from_arrays(*runs, **names)
+    loss = ph.MaximumLikelihood(noise=SIGMA)
+    fit = ph.identify(model, data, loss)
+    found = next_experiment({"spring": fit}, data, SIGMA, {"t": 2.0})
+    x0 = [found.x0[name] for name in ("q", "p")]
+    x = fit.simulate(found.t, x0, found.u)
+    x[:, 1] = np.nan
+    added = [found.t], [x], [found.u]
+    both = ph.Measurements.from_arrays(
+        *(old + new for old, new in zip(runs, added, strict=True)), **names
+    )
+    again = ph.identify(fit.model, both, loss)
+    for name, (before, after) in found.std_errors.items():
+        assert before == fit.std_errors[name] > after
+        assert after == pytest.approx(again.std_errors[name], rel=0.01)
+
+
+def test_a_model_that_is_too_stiff_for_a_design_is_refused() -> None:
+    t = np.linspace(0.0, 8.0, 161)
+    u = np.sin(t)[:, None]
+    model = spring(**DRIVEN).add("input lag", "p").with_fixed({"lag_u_p": 1e-5})
+    data = positions(spring(**DRIVEN), t, [0.1, 0.0], u)
+    fit = ph.identify(model, data, ph.MaximumLikelihood(steps=4))
+    with pytest.raises(ph.SolveError, match="or none can be simulated"):
+        next_experiment({"lag": fit}, data, SIGMA, {"t": 1.0})
+    with pytest.raises(ph.ModelError, match="no free parameter"):
+        known = ph.identify(spring(**DRIVEN).frozen(), data)
+        next_experiment({"known": known}, data, SIGMA)

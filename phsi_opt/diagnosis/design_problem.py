@@ -85,15 +85,20 @@ class Course(NamedTuple):
     slopes: ca.MX  # (n_measured * n_samples, n_p), per scale of each p
     states: ca.MX  # (n_states, n_samples)
     information: np.ndarray  # (n_p, n_p) that the record has, in these scales
+    scales: np.ndarray  # (n_p,)
 
 
 class Design(NamedTuple):
-    """A solution: the kind of input, u (n_samples, n_inputs), starts by state, gain."""
+    """A solution: the kind of input, u (n_samples, n_inputs), starts by state, gain.
+
+    ``std_errors`` (n_free,) are those that the record and one model's course leave.
+    """
 
     kind: str
     u: np.ndarray
     start: dict[str, float]
     gain: float
+    std_errors: np.ndarray
 
 
 def designs(
@@ -109,10 +114,11 @@ def designs(
     ranges = np.reshape([*plan.start.values()], (-1, 2)).T
     for signal in signals(plan, np.random.default_rng(seed)):
         courses = [course(plan, one, begin, signal.u) for one in models]
+        known = information(courses[0])
         gain = (
             separation(*courses)
             if len(models) == 2
-            else told(courses[0], len(first.model.free), sharpen)
+            else told(known, len(first.model.free), sharpen)
         )
         kept, g_bounds = within(plan, first.model, courses[0].states, signal.u)
         variables = ca.vertcat(signal.variables, begin)
@@ -127,10 +133,17 @@ def designs(
         if not reached:
             continue
         value, z = max(reached, key=lambda one: one[0])
-        evaluated = ca.Function("u", [variables], [signal.u])(z)
-        u = np.reshape(np.array(evaluated), (len(plan.t), len(plan.inputs)))
+        evaluate = ca.Function("found", [variables], [signal.u, known])
+        u, of_both = map(np.array, evaluate(z))
+        u = np.reshape(u, (len(plan.t), len(plan.inputs)))
+        for k, name in enumerate(plan.inputs):  # it keeps bounds but for rounding
+            u[:, k] = np.clip(u[:, k], *plan.limits[name])
         x0 = z[len(signal.start) :].tolist()
-        yield Design(signal.kind, u, dict(zip(plan.start, x0, strict=True)), value)
+        sizes = np.sqrt(np.diag(of_both))
+        left = np.linalg.pinv(of_both / np.outer(sizes, sizes), hermitian=True)
+        std_errors = np.sqrt(np.diag(left)) * courses[0].scales / sizes
+        starts = dict(zip(plan.start, x0, strict=True))
+        yield Design(signal.kind, u, starts, value, std_errors[: len(first.model.free)])
 
 
 # ---- criteria ------------------------------------------------------------------------
@@ -144,17 +157,21 @@ def separation(first: Course, second: Course) -> ca.MX:
     apart = first.shown - second.shown
     gain: ca.MX = ca.MX(0.0)
     for imitator in (first, second):
-        information = imitator.slopes.T @ imitator.slopes + imitator.information
         along = imitator.slopes.T @ apart
-        left = ca.dot(apart, apart) - ca.dot(along, ca.solve(information, along))
+        imitated = ca.dot(along, ca.solve(information(imitator), along))
+        left = ca.dot(apart, apart) - imitated
         gain += ca.log1p(ca.fmax(left, 0.0))
     return gain
 
 
-def told(only: Course, n_free: int, sharpen: int | None) -> ca.MX:
+def information(only: Course) -> ca.MX:
+    """Of record and course together, (n_p, n_p) in the course's scales."""
+    return only.slopes.T @ only.slopes + only.information
+
+
+def told(known: ca.MX, n_free: int, sharpen: int | None) -> ca.MX:
     """Log of the information on a parameter, by its place, or their determinant."""
-    information = only.slopes.T @ only.slopes + only.information
-    inverse = ca.inv(information)[:n_free, :n_free]
+    inverse = ca.inv(known)[:n_free, :n_free]
     if sharpen is not None:
         return -ca.log(inverse[sharpen, sharpen])
     return -ca.log(ca.det(inverse))
@@ -254,7 +271,7 @@ def course(plan: Plan, one: PlannedModel, begin: ca.MX, u: ca.MX) -> Course:
     correlation = one.covariance / np.outer(deviations, deviations)
     known[:n_free, :n_free] = np.linalg.pinv(correlation, rcond=1e-10, hermitian=True)
     states = ca.horzcat(x0, alone[:, :-1])
-    return Course(ca.vec(shown), ca.horzcat(*by_p), states, known)
+    return Course(ca.vec(shown), ca.horzcat(*by_p), states, known, scales)
 
 
 def _after(model: Model, n_steps: int) -> ca.Function:

@@ -3,8 +3,8 @@
 An experiment is designed within limits (`diagnosis/design_problem.py`), and what it
 promises is checked by simulating: each of two models in turn is taken for the truth,
 and the other one is fitted to the present record and the experiment together. What it
-cannot imitate is the log Bayes factor to expect. One model is fitted to its own course,
-for the standard errors to expect.
+cannot imitate is the log Bayes factor to expect. The standard errors to expect of one
+model are those of the design: the information of record and experiment together.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,6 +19,7 @@ from phsi_opt.arguments import is_of, require, require_known
 from phsi_opt.comparison.compare import compare
 from phsi_opt.criteria import DECISIVE_EVIDENCE
 from phsi_opt.data.checks import Hold, hold_of_each
+from phsi_opt.data.copies import copies_in, counted_once
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.design_problem import (
     Design,
@@ -26,7 +27,7 @@ from phsi_opt.diagnosis.design_problem import (
     PlannedModel,
     designs,
 )
-from phsi_opt.errors import PhsiOptError, SolveError
+from phsi_opt.errors import ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.model.model import Model
@@ -51,7 +52,8 @@ class Experiment:
         log_bayes: expected logarithm of the Bayes factor, the name of each model to
             that for it where it is the true one. One that contains the other imitates
             it, and is then not rejected. Empty where parameters are to be told.
-        std_errors: standard errors of the parameters, present and expected.
+        std_errors: standard errors of the parameters, present and expected. One that
+            the record does not tell, NaN, is taken as its own size.
         hold: between the samples, as in the data.
         units: of times, inputs and states, as in the data.
     """
@@ -69,10 +71,10 @@ class Experiment:
     @property
     def sentence(self) -> str:
         """What to do, and what it is expected to tell."""
-        told = [
-            f"{name} from {before:.2g} to {after:.2g}"
-            for name, (before, after) in self.std_errors.items()
-        ]
+        told = []
+        for name, (before, after) in self.std_errors.items():
+            known = "unknown" if np.isnan(before) else f"{before:.2g}"
+            told.append(f"{name} from {known} to {after:.2g}")
         if told:
             less = f"it reduces the standard error of {', '.join(told)}"
             return f"{self.words}: {less}."
@@ -163,10 +165,16 @@ def next_experiment(
         ModelError: limits that contradict each other, or of something unknown.
         SolveError: no experiment that keeps within the limits was found.
     """
+    data = counted_once(data, copies_in(data))  # as the fits did
     known = [_FittedModel(fit, data, _longest(data), noise) for fit in fits.values()]
     first = known[0]
     if sharpen is not None:
         require_known(sharpen, first.model.free, f"parameter {sharpen!r} is unknown")
+    if len(known) == 1 and not first.model.free:
+        raise ModelError(
+            "the model has no free parameter that an experiment could tell; free one "
+            "with model.with_free, and fit it."
+        )
     plan = _plan(first, limits or {}, start or {})
     planned = [one.planned for one in known]
     place = None if sharpen is None else first.model.free.index(sharpen)
@@ -203,16 +211,18 @@ def _plan(
     run = data.trajectories[first.number]
     gap = float(np.median(np.diff(run.t)))
     duration = limits.get("t", run.t[-1] - run.t[0])
-    expected = f"a duration above {gap:g} s, the time between two samples"
-    require(
-        is_of(duration, float) and duration > gap, "limits['t']", duration, expected
-    )
+    expected = f"a finite duration above {gap:g} s, the time between two samples"
+    is_long = is_of(duration, float) and gap < duration < np.inf
+    require(is_long, "limits['t']", duration, expected)
     t = gap * np.arange(min(int(duration / gap + 1e-9) + 1, most))
     known = dict(zip(data.states, data.stacked("x").T, strict=True))
     known |= dict(zip(data.inputs, data.stacked("u").T, strict=True))
     chosen: dict[str, tuple[float, float]] = {}
     for name in (*data.measured, *model.inputs):
-        chosen[name] = float(np.nanmin(known[name])), float(np.nanmax(known[name]))
+        # The motion of the model is not noisy, and may go a little beyond the data.
+        own = first.course[:, model.index(name)] if name in model.states else ()
+        every = np.append(known[name], own)
+        chosen[name] = float(np.nanmin(every)), float(np.nanmax(every))
     for name, given in limits.items():
         if name != "t":
             model.function(name)  # says what is unknown
@@ -225,8 +235,13 @@ def _plan(
         require_known(name, model.states, f"state {name!r} of start is unknown")
     starts = {} if model.inputs else {n: chosen[n] for n in model.states if n in chosen}
     for name, given in start.items():
-        where = f"start[{name!r}]"
-        starts[name] = (given, given) if is_of(given, float) else _range(where, given)
+        is_one = is_of(given, float) and np.isfinite(given)
+        starts[name] = (given, given) if is_one else _range(f"start[{name!r}]", given)
+    for name, own in zip(model.states, first.x0.tolist(), strict=True):
+        low, high = chosen.get(name, (-np.inf, np.inf))
+        least, most = starts.get(name, (own, own))
+        expected = f"one within the limits of {name}, {low:g} to {high:g}"
+        require(least <= high and most >= low, f"start[{name!r}]", least, expected)
     inputs = tuple(model.inputs)
     holds = hold_of_each(data.hold, data.inputs)
     hold = {name: str(holds[data.inputs.index(name)]) for name in inputs}
@@ -263,13 +278,11 @@ def _checked(
                 misfits.append(fit.loss_value * fit.n_values)
             log_bayes[name] = max(float(misfits[1] - misfits[0]) / 2, 0.0)
     else:
-        shown = first.measurements(design, plan)
-        fit = None if shown is None else first.fitted_to(shown)
-        if fit is None:
+        if first.measurements(design, plan) is None:
             return None
-        for name in first.model.free if sharpen is None else (sharpen,):
-            present = first.fit.std_errors.get(name, np.nan)
-            std_errors[name] = present, fit.std_errors[name]
+        for name, after in zip(first.model.free, design.std_errors, strict=True):
+            if sharpen in (None, name):
+                std_errors[name] = first.present[name], float(after)
     data = first.data
     return Experiment(
         plan.t,
@@ -306,17 +319,33 @@ class _FittedModel:
         return shared.with_free(own.free)
 
     @cached_property
-    def course(self) -> np.ndarray:
-        """(n_samples, n_states) its states in the trajectory."""
+    def courses(self) -> Sequence[np.ndarray]:
+        """(n_samples, n_states) its states in each trajectory."""
         runs = self.fit.states
         if len(runs) != self.data.n_trajectories:
             runs = compare(self.fit, self.data).simulated
-        return np.asarray(runs[self.number])
+        return runs
+
+    @property
+    def course(self) -> np.ndarray:
+        """(n_samples, n_states) its states in the trajectory."""
+        return self.courses[self.number]
 
     @property
     def x0(self) -> np.ndarray:
         """(n_states,) its start there."""
         return np.asarray(self.course[0])
+
+    def _estimate(self, name: str) -> str:
+        """What the fit calls a parameter of the trajectory."""
+        own = f"{name}[{self.data.trajectories[self.number].name}]"
+        return own if own in self.fit.names else name
+
+    @property
+    def present(self) -> dict[str, float]:
+        """Standard errors of the free parameters, NaN where the record tells none."""
+        errors = self.fit.std_errors
+        return {n: errors.get(self._estimate(n), np.nan) for n in self.model.free}
 
     @property
     def planned(self) -> PlannedModel:
@@ -324,11 +353,9 @@ class _FittedModel:
         free = self.model.free
         values = np.abs(self.model.theta)
         covariance = np.diag(np.where(values > 0, values, 1.0) ** 2)
-        places = [k for k, name in enumerate(free) if name in self.fit.names]
-        rows = [self.fit.names.index(free[k]) for k in places]
-        own = self.fit.covariance[np.ix_(rows, rows)]
-        if np.all(np.isfinite(own)):
-            covariance[np.ix_(places, places)] = own
+        places = [k for k, name in enumerate(free) if np.isfinite(self.present[name])]
+        rows = [self.fit.names.index(self._estimate(free[k])) for k in places]
+        covariance[np.ix_(places, places)] = self.fit.covariance[np.ix_(rows, rows)]
         # A fit's steps are so fine that their error does not count.
         steps = -(-max((int(np.max(one)) for one in self.fit.steps), default=1) // 4)
         spread = np.std(self.course, axis=0)
@@ -336,11 +363,16 @@ class _FittedModel:
 
     def measurements(self, design: Design | None, plan: Plan) -> Measurements | None:
         """Its course in the record and a design, without noise; None: it has none."""
-        data, run = self.data, self.data.trajectories[self.number]
-        n = 1000  # samples of the record; more tell the same
-        times = [run.t[:n]]
-        inputs = [run.u[:n]]
-        starts = [self.x0]
+        data = self.data
+        # Runs with parameters of their own do not move as this one.
+        numbers = (
+            [self.number] if self.fit.by_trajectory else range(data.n_trajectories)
+        )
+        runs = [data.trajectories[number] for number in numbers]
+        n = 1000  # samples of each run; more tell almost the same
+        times = [run.t[:n] for run in runs]
+        inputs = [run.u[:n] for run in runs]
+        starts = [self.courses[number][0] for number in numbers]
         if design is not None:
             x0 = self.x0.copy()
             for name, value in design.start.items():

@@ -398,7 +398,9 @@ def maximized(
     range_of = np.maximum(upper - lower, TINY)
     with solving():
         found = solver(x0=start, lbx=bounds[0], ubx=bounds[1], lbg=lower, ubg=upper)
-    value, reached = -float(found["f"]), np.array(found["g"]).ravel()
+    # IPOPT gives zeros where there are no numbers at the start.
+    at_end = ca.Function("at_end", [z], [gain, g])(found["x"])
+    value, reached = float(at_end[0]), np.array(at_end[1]).ravel()
     outside = np.maximum(lower - reached, reached - upper) / range_of
     if not np.isfinite(value) or not np.all(outside < 1e-6):
         return None

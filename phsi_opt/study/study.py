@@ -415,9 +415,8 @@ class Study(Summarised):
         If the last diagnosis found effects that the data do not distinguish, it
         distinguishes two of them: it maximises the expected log Bayes factor. Else it
         reduces the standard errors of the present model, with what the diagnosis
-        proposes (D-optimality). Input and start
-        are the variables of one nonlinear program, and what is expected is checked by
-        simulating and re-fitting.
+        proposes (D-optimality). Input and start are the variables of one nonlinear
+        program. The log Bayes factor to expect is checked by simulating and re-fitting.
 
         Args:
             limits: lower and upper value by input, state, or formula of these (such as
