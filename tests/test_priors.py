@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.sweeps.local_workers import InThisProcess
 
 T = np.arange(0.0, 10.0, 0.1)
 U = np.sin(T)[:, None]
@@ -126,3 +127,15 @@ def test_a_study_file_has_priors_in_the_unit_that_is_written(tmp_path: Path) -> 
     path.write_text(path.read_text().replace("[40.0, 2.0]", "[40.0, -2.0]"))
     with pytest.raises(ph.StudyFileError, match="mean and standard deviation"):
         ph.StudyFile.read(path)
+
+
+def test_a_profile_and_a_bootstrap_count_a_prior_as_the_standard_errors_do() -> None:
+    data = record()
+    loss = ph.MaximumLikelihood(noise={"x": 0.1})
+    error = ph.identify(decay(), data, loss).std_errors["r"]
+    fit = ph.identify(decay((TRUTH + error, 0.5 * error)), data, loss)
+    assert not ph.profile(fit, data, "r").is_curved
+    draws = ph.bootstrap(fit, data, 40, executor=InThisProcess())
+    ratio = draws.estimates["r"].std() / fit.std_errors["r"]
+    assert ratio == pytest.approx(1.0, abs=0.35)  # three standard deviations of 40
+    assert abs(draws.table["bias"]["r"]) < 3 * fit.std_errors["r"] / np.sqrt(40)

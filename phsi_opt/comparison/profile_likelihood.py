@@ -51,8 +51,8 @@ class Profile:
         name: of the parameter.
         value: its estimate.
         level: of the interval, between 0 and 1.
-        points: (n, 2) values of the parameter and rise of -2 log likelihood above the
-            best fit, sorted by value.
+        points: (n, 2) values of the parameter and rise of -2 log likelihood, with its
+            priors, above the best fit, sorted by value.
         threshold: rise at the ends of the interval.
         ci_lower: lower end of the interval; infinite where the profile never reaches
             the threshold, the bound where a bound of the parameter comes first.
@@ -242,7 +242,8 @@ class _Line:
                 f"{value:.6g} in the fit, now {now}. Give the measurements of the fit."
             )
         self.value = best.values[name]
-        self.lowest = best.chi_square
+        self.prior = fit.model.entries[name].parameter.prior
+        self.lowest = best.deviance
         self.factor = best.score_variance
         self.solutions = {self.value: best}
 
@@ -251,7 +252,11 @@ class _Line:
         # Started from the nearest point known.
         known = self.solutions
         if held in known:
-            return max(known[held].chi_square - self.lowest, 0.0)
+            rise = known[held].deviance - self.lowest
+            if self.prior and held != self.value:  # where it is held it is not free
+                mean, deviation = self.prior
+                rise += ((held - mean) / deviation) ** 2
+            return max(rise, 0.0)
         nearest = known[min(known, key=lambda value: abs(value - held))]
         values = {n: v for n, v in nearest.values.items() if n != self.name}
         model = nearest.model.with_values(values).with_fixed({self.name: held})
@@ -374,8 +379,9 @@ def bootstrap(
 
     A draw is the free run of the fit at the samples plus white noise of the estimated
     size, with the same missing values as the data; the model is identified from it as
-    from the data. The noise of a draw depends only on ``seed`` and its number, and not
-    on the executor or the order. (Only white noise is simulated: other disturbances are
+    from the data. A prior of a parameter that all trajectories share is one more
+    measurement: its mean is drawn about the estimate. The noise of a draw depends only
+    on ``seed`` and its number, and not on the executor or the order. (Only white noise is simulated: other disturbances are
     included in the standard errors of the fit, not in these.)
 
     Args:
@@ -459,8 +465,15 @@ def _drawn_estimates(
     for run, exact in zip(data.trajectories, shown, strict=True):
         noisy = exact + sigma * rng.normal(size=exact.shape)
         runs.append(replace(run, x=np.where(np.isnan(run.x), np.nan, noisy)))
+    priors = {}
+    for name in model.free:
+        one = model.entries[name].parameter
+        if one.prior is not None and not one.per_trajectory:
+            mean = rng.normal(model.values[name], one.prior[1])
+            priors[name] = float(np.clip(mean, one.lower, one.upper)), one.prior[1]
+    drawn = model.with_parameters(lambda n, one: replace(one, prior=priors[n]), priors)
     try:
-        fit = identify(model, replace(data, trajectories=tuple(runs)), loss)
+        fit = identify(drawn, replace(data, trajectories=tuple(runs)), loss)
     except PhsiOptError as error:
         return {"failed": f"{type(error).__name__}: {error}"}
     return {"estimates": dict(fit.estimates)}
