@@ -115,16 +115,28 @@ def test_a_study_file_has_priors_in_the_unit_that_is_written(tmp_path: Path) -> 
     folder = Path(ph.__file__).parent / "study_file" / "examples" / "spring"
     text = (folder / "study.toml").read_text()
     text = text.replace("friction_spring.csv", str(folder / "friction_spring.csv"))
-    priored = 'k = { prior = [40.0, 2.0], unit = "N/mm" }'
+    priored = 'k = { prior = [40.0, 2.0], upper = 41.0, unit = "N/mm" }'
     path = tmp_path / "study.toml"
     path.write_text(re.sub(r"^k = .*$", priored, text, flags=re.MULTILINE))
     file = ph.StudyFile.read(path)
     prior = file.model().entries["k"].parameter.prior
     assert prior == pytest.approx((40e3, 2e3))
+    (said,) = [one for one in file.study().fit.warnings if "prior of k" in one]
+    assert said.startswith("the prior of k, 40 +- 2 N/mm, counts as data")
     file.write(tmp_path / "again.toml")
     again = ph.StudyFile.read(tmp_path / "again.toml")
     assert again.model().entries["k"].parameter.prior == pytest.approx(prior)
-    path.write_text(path.read_text().replace("[40.0, 2.0]", "[40.0, -2.0]"))
+    low = (
+        path.read_text()
+        .replace("upper = 41.0", "upper = 0.02")
+        .replace("40.0,", "0.02,")
+    )
+    path.write_text(low)
+    (said,) = [
+        one for one in ph.StudyFile.read(path).study().fit.warnings if "bound" in one
+    ]
+    assert said.startswith("k is at its upper bound 0.02 N/mm")
+    path.write_text(low.replace(", 2.0]", ", -2.0]"))
     with pytest.raises(ph.StudyFileError, match="mean and standard deviation"):
         ph.StudyFile.read(path)
 

@@ -381,8 +381,9 @@ def bootstrap(
     size, with the same missing values as the data; the model is identified from it as
     from the data. A prior of a parameter that all trajectories share is one more
     measurement: its mean is drawn about the estimate. The noise of a draw depends only
-    on ``seed`` and its number, and not on the executor or the order. (Only white noise is simulated: other disturbances are
-    included in the standard errors of the fit, not in these.)
+    on ``seed`` and its number, and not on the executor or the order. (Only white noise
+    is simulated: other disturbances are included in the standard errors of the fit, not
+    in these.)
 
     Args:
         fit: By maximum likelihood, with its states: not loaded from a file.

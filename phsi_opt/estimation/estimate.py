@@ -30,10 +30,12 @@ from phsi_opt.estimation.uncertainty import Uncertainty, unknown
 from phsi_opt.later import Later
 from phsi_opt.model.laws import parameter_words
 from phsi_opt.model.model import Model
+from phsi_opt.model.parameter_units import parameter_units
+from phsi_opt.model.slots import Entry
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.standard_errors import Source, Spread, StandardErrors
 from phsi_opt.optimization.ipopt import Solution, SolverSettings
-from phsi_opt.presentation.units import rate_unit
+from phsi_opt.presentation.units import Scale, rate_unit, scale_of, spaced
 from phsi_opt.statistics import TINY, chi_square_limit
 from phsi_opt.sweeps.sweep import Progress, silent
 from phsi_opt.transcription.grid import AlignedData, Grid, WithMeasurements
@@ -315,7 +317,9 @@ class Estimate(ABC):
             prior = entry.parameter.prior
             if prior is None:
                 continue
-            told = f"the prior of {name}, {prior[0]:g} +- {prior[1]:g}, counts as data"
+            scale = self._scale(entry)
+            shown = f"{scale.shown(prior[0]):g} +- {prior[1] / scale.size:g}"
+            told = f"the prior of {name}, {shown}{spaced(scale.unit)}, counts as data"
             distance = abs(self.theta[place] - prior[0]) / prior[1]
             if distance > 3:
                 told += (
@@ -324,18 +328,25 @@ class Estimate(ABC):
                 )
             yield told
 
+    def _scale(self, entry: Entry) -> Scale:
+        """Of the numbers of a parameter."""
+        units = parameter_units(self.model, self.task.aligned.data.units)
+        return scale_of(units[entry.name])
+
     def _bound_warning(self, name: str) -> str:
         place = self.unknown.names.index(name)
         parameter = self.unknown.entries[place].parameter
         bound = parameter.nearest_bound(self.theta[place])
+        scale = self._scale(self.unknown.entries[place])
         side = "lower" if bound == parameter.lower else "upper"
         told = parameter_words(self.model, name)
         is_term = self.unknown.entries[place].slot in ("H", "F") and not bound
         sign = f"check the sign of the term with {told}. " if is_term else ""
         return (
-            f"{told} is at its {side} bound {bound:g}; the "
-            f"data favour values beyond it: {sign}The model may be incomplete, or the "
-            "bound wrong. It has no standard error, and others treat it as known"
+            f"{told} is at its {side} bound {scale.shown(bound):g}"
+            f"{spaced(scale.unit)}; the data favour values beyond it: {sign}The model "
+            "may be incomplete, or the bound wrong. It has no standard error, and "
+            "others treat it as known"
         )
 
     def _model_error_rows(
