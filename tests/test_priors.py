@@ -84,7 +84,9 @@ def test_scatter_between_runs_counts_the_error_of_a_prior() -> None:
     assert fit.std_errors["r"] == pytest.approx(1e-3, rel=0.05)
 
 
-def test_a_prior_makes_parameters_identifiable_and_is_told() -> None:
+def test_a_prior_makes_parameters_identifiable_and_is_told_and_saved(
+    tmp_path: Path,
+) -> None:
     data = record()
     scaled = {"x": ph.formula("g*u - r*x", g=ph.Parameter(1.0), r=ph.Parameter(1.0))}
     sensor = {"x": ph.formula("(s - 1)*x", s=ph.Parameter(1.0, prior=(1.0, 0.1)))}
@@ -94,6 +96,9 @@ def test_a_prior_makes_parameters_identifiable_and_is_told() -> None:
     assert fit.std_errors["s"] == pytest.approx(0.1, rel=1e-3)
     assert fit.std_errors["g"] > 0.09
     assert "the prior of s, 1 +- 0.1, counts as data" in fit.warnings
+    fit.save(tmp_path / "fit.json")
+    loaded = ph.Fit.load(tmp_path / "fit.json")
+    assert loaded.entry("s").parameter.prior == (1.0, 0.1)
     known = ph.MaximumLikelihood(noise={"x": 0.1})
     far = ph.identify(decay((2.0, 0.2)), data, known)
     (said,) = [one for one in far.warnings if "the prior of r" in one]
@@ -103,6 +108,7 @@ def test_a_prior_makes_parameters_identifiable_and_is_told() -> None:
 @pytest.mark.parametrize(("settings", "said"), [
     ({"prior": (1.0, 0.0)}, "standard deviation above zero"),
     ({"prior": (np.nan, 1.0)}, "its mean, finite and within"),
+    ({"prior": (1.0,)}, "its mean, finite and within"),
     ({"prior": (-1.0, 1.0), "lower": 0.0}, r"within \[0, inf\]"),
 ])  # fmt: skip
 def test_a_prior_that_is_none_is_refused(settings, said: str) -> None:

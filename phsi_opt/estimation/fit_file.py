@@ -93,7 +93,7 @@ def decoded(kind: Any, value: Any) -> Any:
     if kind in (Any, Hold) or (value is None and type(None) in args):
         return value
     if type(None) in args:
-        kind = args[0]
+        return decoded(args[0], value)
     if kind is Scan:  # or another guess
         name, *settings = value
         return GUESSES[name](*settings)

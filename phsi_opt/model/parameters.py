@@ -121,7 +121,8 @@ class Parameter:
                 f"upper={self.upper:g}; swap them."
             )
         if self.prior is not None:
-            mean, deviation = map(float, self.prior)
+            given = tuple(map(float, self.prior))
+            mean, deviation = given if len(given) == 2 else (np.nan, np.nan)
             is_fine = self.lower <= mean <= self.upper and 0 < deviation < np.inf
             if not (is_fine and np.isfinite(mean)):
                 raise ModelError(
