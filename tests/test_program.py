@@ -294,11 +294,16 @@ def test_a_place_without_a_number_has_none_and_leaves_the_others() -> None:
 NOISE = {"q": 0.001, "p": 0.002}
 
 
-def spring_fit(loss: ph.PHSILoss | ph.MaximumLikelihood, **options: Any) -> ph.Fit:
+def spring_fit(
+    loss: ph.PHSILoss | ph.MaximumLikelihood,
+    prior: tuple[float, float] | None = None,
+    **options: Any,
+) -> ph.Fit:
     """A spring with unknown stiffness and damping, fitted to its own motion."""
     t = np.linspace(0.0, 4.0, 81)
+    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(prior=prior))
     model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H="k*q**2/2 + p**2/2", R={"p": "c"}
+        states=["q", "p"], S=ph.canonical(1), H=energy, R={"p": "c"}
     )
     x = ph.simulate(model.with_values({"k": 9.0, "c": 0.3}), t, [1.0, 0.5])
     y = x + 0.001 * np.random.default_rng(0).normal(size=x.shape)
@@ -317,6 +322,7 @@ def theta_of(program: Program) -> np.ndarray:
 @pytest.mark.parametrize(("loss", "options"), [
     (ph.PHSILoss(), {}),
     (ph.PHSILoss(), {"l1": {"R": 0.1}}),
+    (ph.PHSILoss(), {"prior": (9.1, 0.01)}),
     (ph.MaximumLikelihood(NOISE), {}),
     (ph.MaximumLikelihood(NOISE), {"settings": ph.SolverSettings(solver="ipopt")}),
     (ph.MaximumLikelihood(NOISE, huber=1.345), {}),

@@ -41,6 +41,7 @@ class PHSIEstimate(Estimate):
     """The minimum of the PHSI loss."""
 
     loss: PHSILoss
+    variance: float  # of a defect, beside which priors counted
 
     @property
     def n_values(self) -> int:
@@ -64,7 +65,7 @@ class PHSIEstimate(Estimate):
         )
 
     def fit(self) -> Fit:
-        of_start = (self.model, self.grid, self.point, self.l1)
+        of_start = (self.model, self.grid, self.point, self.l1, self.variance)
         return replace(
             super().fit(), remade_program=Remade(partial(self.loss.program, *of_start))
         )
@@ -102,10 +103,9 @@ class PHSISolver:
             point = replace(known.point, theta=theta, theta_scale=sizes)
         unknown = Theta.of(model, ("",))
         has_priors = bool(np.any(unknown.priors))
-        variance = (
-            0.0  # of defects, of which a solve without priors is the first to tell
-        )
+        variance = following = 0.0  # a solve without priors is the first to tell it
         for _ in range(MOST_PROGRAMS if model.delays or has_priors else 1):
+            variance = following
             program = self.loss.program(model, self.grid, point, l1, variance)
             solution = Solver(program, self.task.settings).solve()
             theta = solution.values["theta"]
@@ -114,13 +114,14 @@ class PHSISolver:
                 break
             used = complete_intervals(model, self.grid)
             mean_square = np.sum(solution.residual**2) / 2 * mean_square_rate(used)
-            variance = float(mean_square) / model.n_states
+            following = float(mean_square) / model.n_states
             point = replace(point, theta=theta)
         n_free = len(model.free)
         self.task.say(f"PHSI loss, {n_free} parameters: {solution.outcome}")
         return PHSIEstimate(
             task=self.task,
             loss=self.loss,
+            variance=variance,
             model=model,
             grid=self.grid,
             unknown=unknown,
