@@ -2,6 +2,7 @@
 a parameter, within limits.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from scipy.optimize import least_squares
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.experiments import Experiment, next_experiment
+from phsi_opt.presentation.units import Scale, Unit
 from phsi_opt.simulation.simulate import free_run
 
 NOISE = 0.02
@@ -133,7 +135,9 @@ def test_an_input_for_one_parameter_tells_it_better_than_the_record_as_long(
     before, after = found.std_errors["R_p"]
     # A second record like the first would leave 1 / sqrt(2).
     assert after < 0.95 * before / np.sqrt(2)
-    assert "reduces the standard error of R_p" in str(found)
+    assert f"reduces the standard error of R_p from {before:.2g} to" in str(found)
+    per_mm = replace(found, units={"R_p": Unit("kg/s", Scale("kg/ms", 1e3))})
+    assert f"R_p from {before / 1e3:.2g} to {after / 1e3:.2g} kg/ms" in str(per_mm)
 
 
 def test_an_offset_and_a_force_are_the_same_on_a_linear_spring() -> None:

@@ -55,7 +55,7 @@ class Experiment:
         std_errors: standard errors of the parameters, present and expected. One that
             the record does not tell, NaN, is taken as its own size.
         hold: between the samples, as in the data.
-        units: of times, inputs and states, as in the data.
+        units: of times, inputs, states and parameters, by name.
     """
 
     t: np.ndarray
@@ -73,8 +73,10 @@ class Experiment:
         """What to do, and what it is expected to tell."""
         told = []
         for name, (before, after) in self.std_errors.items():
-            known = "unknown" if np.isnan(before) else f"{before:.2g}"
-            told.append(f"{name} from {known} to {after:.2g}")
+            scale = scale_of(self.units.get(name, ""))
+            known = "unknown" if np.isnan(before) else f"{before / scale.size:.2g}"
+            reached = f"{after / scale.size:.2g}{spaced(scale.unit)}"
+            told.append(f"{name} from {known} to {reached}")
         if told:
             less = f"it reduces the standard error of {', '.join(told)}"
             return f"{self.words}: {less}."
@@ -293,7 +295,7 @@ def _checked(
         log_bayes,
         std_errors,
         data.hold,
-        data.units,
+        {**first.fit.parameter_units, **data.units},
     )
 
 
