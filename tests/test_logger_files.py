@@ -562,6 +562,7 @@ def test_parquet_has_numbers_dates_and_missing_values(tmp_path: Path) -> None:
     when = [begin + dt.timedelta(seconds=t) for t in T]
     field = pyarrow.field("q", pyarrow.float64(), metadata={"unit": "mm"})
     columns = {"when": when, "q": [*Q[:-1], None], "on": [u > 1 for u in U]}
+    columns["since"] = [dt.timedelta(seconds=t) for t in T]
     table = pyarrow.table({**columns, "axes": [[1.0, 2.0]] * len(T)})
     table = table.set_column(1, field, table["q"])
     path = tmp_path / "log.parquet"
@@ -569,10 +570,12 @@ def test_parquet_has_numbers_dates_and_missing_values(tmp_path: Path) -> None:
     data = ph.Measurements.from_parquet(path, time="when", states=["q", "on"])
     assert data.units["q"] == "mm"
     assert data.trajectories[0].t.tolist() == T
+    clocked = ph.Measurements.from_parquet(path, time="since", states=["q"])
+    assert clocked.units["t"] == "s" and clocked.stacked("t").tolist() == T
     np.testing.assert_array_equal(data.stacked("x")[:, 0], [*Q[:-1], np.nan])
     assert data.stacked("x")[:, 1].tolist() == [u > 1 for u in U]
     seen = survey(path)
-    assert [one.part for one in seen.columns] == ["time", "state", "input"]
+    assert [one.part for one in seen.columns] == ["time", "state", "input", "left out"]
     assert [one.name for one in seen.table.further] == ["axes"]
     with pytest.raises(ph.DataError, match=r"read it with Measurements.from_parquet"):
         ph.Measurements.from_csv(path, time="when", states=["q"])
@@ -586,6 +589,9 @@ def test_hdf5_has_groups_as_structs_units_and_no_other_files(tmp_path: Path) -> 
         file["log/time"] = T
         file["log/Motor Speed"] = Q
         file["log/Motor Speed"].attrs["unit"] = "rpm"
+        file["log/fixed"], file["log/listed"] = Q, Q
+        file["log/fixed"].attrs["unit"] = np.bytes_("rpm")  # a text of fixed length
+        file["log/listed"].attrs["units"] = np.array(["rpm"], h5py.string_dtype())
         file["X"] = np.column_stack([U, Q])
         pairs = list(zip(T, U, strict=True))
         file["record"] = np.array(pairs, dtype=[("t", "f8"), ("u", "f8")])
@@ -598,11 +604,12 @@ def test_hdf5_has_groups_as_structs_units_and_no_other_files(tmp_path: Path) -> 
     assert data.stacked("t").tolist() == T
     np.testing.assert_array_equal(data.stacked("x"), np.column_stack([Q, U, U]))
     elsewhere = "in another file, which is not read"
-    said = rf"'linked' \({elsewhere}\).*'outside' \({elsewhere}\)"
+    said = rf"'linked' \(a link, which is not followed\).*'outside' \({elsewhere}\)"
     with pytest.raises(ph.DataError, match=said):
         ph.Measurements.from_hdf5(path, time="log.time", states=["outside"])
     units = {one.column: one.unit for one in survey(path).columns}
-    assert units["log.Motor Speed"] == "rpm"
+    for name in ("Motor Speed", "fixed", "listed"):
+        assert units[f"log.{name}"] == "rpm"
 
 
 def test_matlab_7_3_is_read_as_older_files_are(tmp_path: Path) -> None:

@@ -2,8 +2,8 @@
 
 As of `matlab_reader`: arrays with two axes, and texts that say of all else what it is.
 Groups are structs: the dataset "y" of the group "log" is "log.y". MATLAB writes arrays
-with the axes in reverse, and structs of a list as references to their fields. A link
-or a dataset that leads to another file is not followed.
+with the axes in reverse, and structs of a list as references to their fields. A link,
+or a dataset that leads to another file, is not followed.
 """
 
 from collections.abc import Iterator
@@ -15,6 +15,7 @@ from phsi_opt.data.matlab_reader import UNREAD
 from phsi_opt.reading import check_size
 
 ELSEWHERE = "in another file, which is not read"
+LINKED = "a link, which is not followed"
 
 
 def read(
@@ -50,7 +51,7 @@ def _named(file: Any, name: str, one: Any) -> Named:
         for key in one:
             inner = f"{name}.{key}" if name else key
             if not isinstance(one.get(key, getlink=True), h5py.HardLink):
-                yield inner, ELSEWHERE, ""
+                yield inner, LINKED, ""
             elif not key.startswith("#"):  # what MATLAB refers to
                 yield from _named(file, inner, one[key])
 
@@ -59,7 +60,9 @@ def _of_dataset(file: Any, name: str, one: Any) -> Named:
     import h5py
 
     kind = one.attrs.get("MATLAB_class", b"")
-    unit = one.attrs.get("unit", one.attrs.get("units", ""))
+    told = np.ravel(one.attrs.get("unit", one.attrs.get("units", "")))
+    unit = told[0] if told.size == 1 else ""
+    unit = unit.decode(errors="replace") if isinstance(unit, bytes) else unit
     is_listed = h5py.check_ref_dtype(one.dtype) and kind != b"cell"
     if one.external or one.is_virtual:
         yield name, ELSEWHERE, ""
@@ -73,7 +76,7 @@ def _of_dataset(file: Any, name: str, one: Any) -> Named:
         for key in one.dtype.names:
             yield f"{name}.{key}" if name else key, one.fields(key), ""
     else:
-        yield name, one, unit if isinstance(unit, str) else ""
+        yield name, one, str(unit) if isinstance(unit, str) else ""
 
 
 def _array(one: Any) -> np.ndarray:

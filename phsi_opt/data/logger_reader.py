@@ -181,6 +181,7 @@ def _groups_of_parquet(content: Any) -> Iterator[tuple[str, Group]]:
     for column in file.schema_arrow:
         told = column.metadata or {}
         unit = (told.get(b"unit") or told.get(b"units") or b"").decode()
+        unit = "s" if pa.types.is_duration(column.type) else unit
         is_nested = pa.types.is_nested(column.type) or pa.types.is_binary(column.type)
         values = partial(_values_in_parquet, file, column.name)
         why_not = NO_NUMBERS if is_nested else ""
