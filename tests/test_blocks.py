@@ -365,6 +365,7 @@ MASS = {"m": "mass: x", "k": "spring: x, ground"}
     ({"x": "mass: x", "k": "spring: x, ground"}, "mass 'x' has the name of a state"),
     ({"m": "mass: x", "k": "spring: x, ground; k*v"}, "law='k\\*v' is not possible for a spring; expected a formula in x"),
     ({"m": "mass: x; 3*x", "k": "spring: x, ground"}, "for a mass; expected none"),
+    ({"m": "mass: a", "k": "spring: a, ground; a*x"}, "a in its law 'a\\*x' is a state"),
     ({"m": "mass: x", "k": "spring: x, ground; k*exp(x**2)"}, "has no energy that a formula can hold"),
     (MASS | {"c": "damper: x, y; c*v**3", "e": "damper: y, ground"}, "damper 'c' is not linear, and one of its nodes"),
     (MASS | {"C": "thermal storage: a", "R": "thermal resistance: a, ground"}, "thermal resistance 'R' is thermal and spring 'k' is not"),

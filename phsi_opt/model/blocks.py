@@ -142,6 +142,13 @@ def blocks(
         raise ModelError(
             f"{owned[name]} has the name of a state, the position of a node; rename it."
         )
+    for block in read:
+        in_law = names_of(block.law) - {"x"} if block.role == "spring" else set()
+        for name in sorted(in_law & found.rates.keys()):
+            raise ModelError(
+                f"{block}: {name} in its law {block.law!r} is a state, and the force "
+                "of a spring is one of its extension x alone; rename the parameter."
+            )
     known |= _own_parameters(owned, known, [text for *_, text in places])
     variables = Variables(tuple(found.rates), tuple(found.inputs))
     terms: dict[str, dict[Any, Dictionary]] = {"H": {}, "S": {}, "R": {}, "F": {}}
