@@ -257,6 +257,38 @@ def test_expected_errors_are_those_of_all_runs_and_the_experiment() -> None:
         assert after == pytest.approx(again.std_errors[name], rel=0.01)
 
 
+def test_the_expected_factor_counts_all_runs_and_priors() -> None:
+    t = np.linspace(0.0, 8.0, 161)
+    u = 20.0 * np.cos(3.0 * t)[:, None]
+    names: Any = {"states": ["q", "p"], "inputs": ["u"]}
+    rest = [0.0, 0.0]
+    noisy = [positions(spring(46.0, **DRIVEN), t, rest, u, seed=i) for i in range(3)]
+    runs = [t] * 3, [one.trajectories[0].x for one in noisy], [u] * 3
+    data = ph.Measurements.from_arrays(*runs, **names)
+    loss = ph.MaximumLikelihood(noise=SIGMA)
+    mass = ph.Parameter(2.5, lower=0.1, prior=(2.5, 0.002))
+    stiff = ph.identify(spring(k=ph.Parameter(44.0, lower=1), **DRIVEN), data, loss)
+    heavy = ph.identify(spring(m=mass, **DRIVEN), data, loss)
+    fits = {"stiff": stiff, "heavy": heavy}
+    found = next_experiment(fits, data, SIGMA, {"t": 2.0}, REST)
+
+    def deviance(is_designed: bool) -> float:
+        """-2 log likelihood of the heavy one where the stiff one moves."""
+        courses = [stiff.simulate(t, x[0], u) for x in stiff.states]
+        times, inputs = [t] * 3, [u] * 3
+        if is_designed:
+            courses.append(stiff.simulate(found.t, rest, found.u))
+            times, inputs = [*times, found.t], [*inputs, found.u]
+        shown = [np.column_stack([x[:, 0], np.full(len(x), np.nan)]) for x in courses]
+        exact = ph.Measurements.from_arrays(times, shown, inputs, **names)
+        fit = ph.identify(heavy.model, exact, loss)
+        counted = len(fit.names) * np.log(fit.n_values)
+        return fit.bic - counted - fit.n_values * np.log(2 * np.pi * NOISE**2)
+
+    expected = (deviance(True) - deviance(False)) / 2
+    assert found.log_bayes["stiff"] == pytest.approx(expected, rel=1e-3)
+
+
 def test_a_model_that_is_too_stiff_for_a_design_is_refused() -> None:
     t = np.linspace(0.0, 8.0, 161)
     u = np.sin(t)[:, None]

@@ -277,7 +277,7 @@ def _checked(
                 fit = None if shown is None else imitator.fitted_to(shown)
                 if fit is None:
                     return None
-                misfits.append(fit.loss_value * fit.n_values)
+                misfits.append(_misfit(fit))
             log_bayes[name] = max(float(misfits[1] - misfits[0]) / 2, 0.0)
     else:
         if first.measurements(design, plan) is None:
@@ -297,6 +297,16 @@ def _checked(
         data.hold,
         {**first.fit.parameter_units, **data.units},
     )
+
+
+def _misfit(fit: Fit) -> float:
+    """Squares of residuals over the noise, and of the way to the means of priors."""
+    squares = fit.loss_value * fit.n_values
+    for name, value in fit.estimates.items():
+        prior = fit.entry(name).parameter.prior
+        if prior is not None:
+            squares += ((value - prior[0]) / prior[1]) ** 2
+    return squares
 
 
 @dataclass(frozen=True, eq=False)

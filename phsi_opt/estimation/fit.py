@@ -156,7 +156,7 @@ class Fit(Identified, WithResiduals, Summarised):
         by_trajectory: Values of the free parameters by name, for every trajectory by
             name; empty where all parameters are shared.
         loss: Name of the loss, such as "MaximumLikelihood".
-        loss_value: The loss at the solution, without its L1 terms.
+        loss_value: The loss at the solution, without its L1 terms and priors.
         uncertainty: What the standard errors come from, and what to know before the
             numbers are used. It can cost more than the estimates, and is worked out
             when one of the properties that read it is first asked for: ``covariance``,
