@@ -154,6 +154,7 @@ def test_what_is_known_of_the_numbers_is_carried_along(tmp_path: Path) -> None:
             assert f"Free run against 81 samples: rmse {comparison.rmse:.4g}" in text
             assert f"k = {fit.values['k']:.4f}"[:8] in text
             assert "q in m" in text
+            assert ("'previous'" in text) == (suffix == ".m")  # of held inputs
     description = fmpy.read_model_description(str(tmp_path / "spring.fmu"))
     assert "Free run against 81 samples" in description.description
     variables = {one.name: one for one in description.modelVariables}
