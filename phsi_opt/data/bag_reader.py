@@ -17,6 +17,8 @@ import numpy as np
 
 from phsi_opt.data.channel_groups import NO_NUMBERS, TIME, Group, Signal
 
+FIRST = 100  # messages of a topic, which say what numbers it has
+
 
 class Kind(NamedTuple):
     """What the messages of a topic are."""
@@ -43,7 +45,10 @@ def groups_of_bag(content: Any) -> Iterator[tuple[str, Group]]:
         group.channels.append(Signal(TIME, "s", partial(_times, messages, origin)))
         try:
             decode = _decoder(kind)
-            first = dict(_numbers_in(decode(messages[0][1])))
+            first: dict[str, Any] = {}
+            for _, sent in messages[:FIRST]:
+                found = dict(_numbers_in(decode(sent)))
+                first |= {n: one for n, one in found.items() if first.get(n) is None}
         except Exception as error:  # the libraries promise no classes of their errors
             why_not = f"messages of the type {kind.name} are not decoded ({error})"
             group.channels.append(Signal("message", "", lambda: np.array([]), why_not))

@@ -73,8 +73,9 @@ def read(
     chosen = [one for one in group.channels if one.name in wanted]
     columns = list(itertools.filterfalse(attrgetter("why_not"), chosen))
     others = list(filter(attrgetter("why_not"), chosen))
+    is_unread = set(map(NAME_OF, columns)) <= {TIME}
     for one in others:
-        if one.name in (asked or ()):
+        if asked is not None and (one.name in asked or is_unread):
             raise DataError(
                 f"{title}, group {shown(part)}: the channel {shown(one.name)} cannot "
                 f"be read: {one.why_not}. Export it as numbers."
