@@ -1,5 +1,6 @@
 """Where a solver begins: rough states, sizes, and formulas that have values."""
 
+import cvxpy as cp
 import numpy as np
 import pytest
 
@@ -161,3 +162,20 @@ def test_a_sensor_that_is_late_is_found_without_a_value_to_start_from(delay) -> 
     for name, value in truth.items():
         allowed = 4 * max(fit.std_errors[name], 1e-3)
         assert fit.estimates[name] == pytest.approx(value, abs=allowed)
+
+
+def test_a_start_needs_no_convex_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*arguments: object, **options: object) -> None:
+        raise cp.SolverError("no way")
+
+    t = np.linspace(0, 10, 101)
+    x = np.column_stack([np.cos(t), -np.sin(t)])
+    data = ph.Measurements.from_arrays(t, x, states=["q", "p"])
+    model = ph.PseudoHamiltonian(
+        ["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], 2)
+    )
+    asked = {"loss": ph.PHSILoss(), "l1": 1e-4}
+    expected = ph.identify(model, data, **asked).estimates
+    monkeypatch.setattr(cp.Problem, "solve", fails)
+    found = ph.identify(model, data, **asked).estimates
+    assert list(found.values()) == pytest.approx(list(expected.values()), abs=1e-5)

@@ -10,6 +10,7 @@ states must be known; what to do where they are not is the business of `identify
 
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, product
@@ -143,15 +144,15 @@ def _with_optimum(
     weights = unknown.weights(l1)[group] / mean_square_rate(grid)
     z = _optimum(A * scale, b, (lower / scale, upper / scale), weights * scale)
     result = theta.copy()
-    if z is not None and np.all(np.isfinite(z)):
+    if np.all(np.isfinite(z)):
         result[group] = np.clip(z * scale, lower, upper)
     return result
 
 
 def _optimum(
     A: np.ndarray, b: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], l1: np.ndarray
-) -> np.ndarray | None:
-    """Coefficients z of least |A z - b|^2 + l1 |z| within bounds; None: not found."""
+) -> np.ndarray:
+    """Coefficients z of least |A z - b|^2 + l1 |z| within bounds."""
     # Where the loss does not change along a direction (Casimirs of S), rounding errors
     # would set them; the smallest ones are taken there.
     n = A.shape[1]
@@ -171,10 +172,13 @@ def _optimum(
     program = cp.Problem(cp.Minimize(misfit + penalty), constraints)
     with warnings.catch_warnings():  # a start need not be accurate to the last digit
         warnings.simplefilter("ignore", UserWarning)
-        program.solve(
-            solver=cp.CLARABEL, tol_gap_abs=1e-14, tol_gap_rel=1e-12, tol_feas=1e-12
-        )
-    return None if z.value is None else z.value
+        with suppress(cp.SolverError):
+            program.solve(
+                solver=cp.CLARABEL, tol_gap_abs=1e-14, tol_gap_rel=1e-12, tol_feas=1e-12
+            )
+    if z.value is None:  # the program has the penalty, its start can do without
+        return bounded_least_squares(r, right, lower, upper)
+    return z.value
 
 
 # ---- scans of frequencies ------------------------------------------------------------
