@@ -171,11 +171,9 @@ def test_a_start_needs_no_convex_solver(monkeypatch: pytest.MonkeyPatch) -> None
     t = np.linspace(0, 10, 101)
     x = np.column_stack([np.cos(t), -np.sin(t)])
     data = ph.Measurements.from_arrays(t, x, states=["q", "p"])
-    model = ph.PseudoHamiltonian(
-        ["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], 2)
-    )
-    asked = {"loss": ph.PHSILoss(), "l1": 1e-4}
-    expected = ph.identify(model, data, **asked).estimates
+    energy = ph.polynomials(["q", "p"], 2)
+    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy)
+    expected = ph.identify(model, data, ph.PHSILoss(), l1=1e-4).estimates
     monkeypatch.setattr(cp.Problem, "solve", fails)
-    found = ph.identify(model, data, **asked).estimates
+    found = ph.identify(model, data, ph.PHSILoss(), l1=1e-4).estimates
     assert list(found.values()) == pytest.approx(list(expected.values()), abs=1e-5)
