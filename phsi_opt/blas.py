@@ -7,11 +7,12 @@ here are small, for which more threads are no faster.
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from threading import Lock
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
-# Read by IPOPT's own BLAS, which no call can reach, when it is loaded.
+# Read by libraries that are loaded later: IPOPT's own BLAS, too, which no call can reach.
 N_THREADS = "OPENBLAS_NUM_THREADS"
 
 _lock = Lock()
@@ -25,7 +26,7 @@ def one_thread() -> Iterator[None]:
     with _lock:
         if not _inside:
             _limits.callback(_restore, os.environ.get(N_THREADS))
-            _limits.enter_context(threadpool_limits(1, user_api="blas"))
+            _limits.enter_context(_loaded().limit(limits=1, user_api="blas"))
             os.environ[N_THREADS] = "1"
         _inside.append(None)
     try:
@@ -35,6 +36,12 @@ def one_thread() -> Iterator[None]:
             _inside.pop()
             if not _inside:
                 _limits.close()
+
+
+@cache
+def _loaded() -> ThreadpoolController:
+    """The libraries that are there at the first call; to find them takes a while."""
+    return ThreadpoolController()
 
 
 def _restore(before: str | None) -> None:

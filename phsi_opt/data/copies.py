@@ -11,9 +11,10 @@ most of what neighbouring samples scatter in some channel: the scatter of a fast
 is the same in every repetition of an experiment.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from typing import TypeVar
 
 import numpy as np
@@ -75,13 +76,13 @@ def _copies(
 ) -> dict[str, str]:
     """Copies of originals, or of runs before them where there are no originals."""
     groups: dict[tuple[object, ...], list[_Channels]] = {}
-    for channels in map(_Channels, originals):
+    for channels in _with_scatters(originals):
         groups.setdefault(channels.key, []).append(channels)
     copies = {}
-    for run in runs:
-        own = _Channels(run)
+    for own in _with_scatters(runs) if len(runs) > 1 or originals else ():
+        run = own.run
         alike = groups.setdefault(own.key, [])
-        found = next(filter(own.is_copy_of, alike), None)
+        found = next(filter(own.is_copy_of, own.near(alike)), None)
         measured = run.x[np.isfinite(run.x)]
         # At rest, or in a few samples of a coarse sensor, runs are equal by chance.
         if found and len(np.unique(measured)) >= 5:
@@ -91,11 +92,30 @@ def _copies(
     return copies
 
 
+def _with_scatters(runs: Sequence[Trajectory]) -> "list[_Channels]":
+    """The runs, and how their neighbouring samples scatter."""
+    if not runs:
+        return []
+    numbers = np.repeat(np.arange(len(runs)), [run.n_samples for run in runs])
+    t = np.concatenate([run.t for run in runs])
+    channels = np.vstack([np.hstack([run.x, run.u]) for run in runs]).T
+    scatters = []
+    for values in channels:
+        number, residuals = scatter_of(t, values, numbers)
+        begins = np.searchsorted(number, np.arange(1, len(runs)))
+        scatters.append(np.split(residuals, begins))
+    return [
+        _Channels(*each) for each in zip(runs, zip(*scatters, strict=True), strict=True)
+    ]
+
+
 @dataclass(frozen=True, eq=False)
 class _Channels:
     """The states and inputs of a run."""
 
     run: Trajectory
+    # Of neighbouring samples, residuals for each channel.
+    scatters: tuple[np.ndarray, ...]
 
     @property
     def is_short(self) -> bool:
@@ -121,19 +141,11 @@ class _Channels:
         return np.asarray(self.values.mean(axis=0))
 
     @cached_property
-    def _scatters(self) -> list[np.ndarray]:
-        """Of neighbouring samples, an array of residuals for each channel."""
-        run = self.run
-        one_run = np.zeros(run.n_samples)
-        channels = np.hstack([run.x, run.u]).T
-        return [scatter_of(run.t, values, one_run)[1] for values in channels]
-
-    @cached_property
     def allowed(self) -> np.ndarray:
         """Root mean square difference of a copy, at most, (n_channels,)."""
         if self.is_short:
-            return np.zeros(len(self._scatters))
-        noise = np.array(list(map(robust_deviation, self._scatters)))
+            return np.zeros(len(self.scatters))
+        noise = np.array(list(map(robust_deviation, self.scatters)))
         return np.nan_to_num(noise) / np.sqrt(2)
 
     @cached_property
@@ -141,17 +153,24 @@ class _Channels:
         """Whether noise is most of the scatter of a state."""
         # Residuals of white noise have a correlation of -0.8 with the next ones, those
         # of a motion with four samples in a cycle or more a positive one.
-        states = self._scatters[: self.run.x.shape[1]]
+        states = self.scatters[: self.run.x.shape[1]]
         for size, residuals in zip(self.allowed, states, strict=False):
             cut = np.clip(residuals, -4 * size, 4 * size)  # steps are no noise
             if size > 0 and np.sum(cut[1:] * cut[:-1]) < -MOST_OF_IT * np.sum(cut**2):
                 return True
         return False
 
+    def near(self, others: Sequence["_Channels"]) -> Iterator["_Channels"]:
+        """Those of which it may be a copy, by their means."""
+        if not others:
+            return iter(())
+        means = np.array([one.mean for one in others])
+        return compress(
+            others, np.all(np.abs(means - self.mean) <= self.allowed, axis=1)
+        )
+
     def is_copy_of(self, other: "_Channels") -> bool:
         """Whether both are one measurement, with the same times since it began."""
-        if np.any(np.abs(self.mean - other.mean) > self.allowed):
-            return False
         apart = np.sqrt(np.mean((self.values - other.values) ** 2, axis=0))
         is_equal = not apart.any()
         is_near = bool(np.all(apart <= self.allowed))
