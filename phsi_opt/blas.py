@@ -12,7 +12,7 @@ from threading import Lock
 
 from threadpoolctl import ThreadpoolController
 
-# Read by libraries that are loaded later: IPOPT's own BLAS, too, which no call can reach.
+# Read by libraries that are loaded later, such as IPOPT's own BLAS.
 N_THREADS = "OPENBLAS_NUM_THREADS"
 
 _lock = Lock()

@@ -104,9 +104,8 @@ def _with_scatters(runs: Sequence[Trajectory]) -> "list[_Channels]":
         number, residuals = scatter_of(t, values, numbers)
         begins = np.searchsorted(number, np.arange(1, len(runs)))
         scatters.append(np.split(residuals, begins))
-    return [
-        _Channels(*each) for each in zip(runs, zip(*scatters, strict=True), strict=True)
-    ]
+    of_runs = zip(*scatters, strict=True)
+    return list(map(_Channels, runs, of_runs))
 
 
 @dataclass(frozen=True, eq=False)
