@@ -35,7 +35,7 @@ def test_the_story_ends_as_the_demonstration_did(readme: str) -> None:
     assert f"held-out error {before:.4f} -> {after:.4f} m" in readme
     assert f"noise floor {floor:.4f} m" in readme
     assert f"held out: {before:.3f} m, while the noise is {floor:.3f} m" in readme
-    friction = re.search(r"on p \(([\d.]+) \+- ([\d.]+) N\)", text)
+    friction = re.search(r"equation of p \(([\d.]+) \+- ([\d.]+) N\)", text)
     assert friction is not None
     size, error = float(friction[1]), float(friction[2])
     assert (
