@@ -135,22 +135,17 @@ class _Judge:
 
     def proposals(self, single: _Proposal | None) -> Iterator[_Proposal]:
         """What may be named, in the order in which it is asked."""
-        if single is not None and single.is_complete:
-            yield single
-            return
+        found = None if single is None or not single.is_complete else single
         search = Search(self.base, self.ranking, self.effects)
-        search.run()
+        if found is None or not search.is_complete():
+            search.run()
         least = -np.inf if single is None else single.log_evidence
-        together = next(self.together(search, least), None)
-        several = None
-        highest = least
-        if together is not None:
-            highest = together[0].log_evidence
-            if search.is_complete(together[0]):
-                several = self.several(search, least)
-                if several is not None and several.is_complete:
-                    yield from filter(None, (several, single))
-                    return
+        several = self.several(search, least)
+        is_whole = several is not None and several.is_complete
+        if found is not None or is_whole:
+            yield from filter(None, (several if is_whole else None, single))
+            return
+        highest = least if several is None else several.log_evidence
         self.weigh_functions(highest)
         single = self.single()
         # As long as a force remains, a further law may stand in for what is missing:
@@ -160,7 +155,6 @@ class _Judge:
         )
         if single is not None and not is_late:
             yield single
-        several = several or self.several(search, least)
         if several is not None:
             yield several
         if single is not None and is_late:

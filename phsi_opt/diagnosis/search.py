@@ -1,16 +1,17 @@
 """A search over models: sets of effects, compared by their evidence beside a force.
 
-The likeliest model is enlarged by one effect: screening beside its force tells what
-every further effect promises, less what it did not keep of its promises before, and
-models are weighed in that order until none promises to come near the likeliest. Where
-that finds no likelier model the next likeliest one is enlarged that no smaller model
-equals. A new likeliest model gives back each of its effects by turns, as the first may
-have stood in for what was found later. Where it is as likely without a force nothing is
-left to be found, and only exchanges of one effect go on. A search ends where three
-models were enlarged in vain.
+A beam search. Of the models with one effect the likeliest three are enlarged by one
+effect each: screening beside the force that a model leaves tells what every further
+effect promises, less what it did not keep of its promises before, and models are
+weighed in that order, at least one beside each, until none promises to come near the
+likeliest of that size. So on with two effects and three, as a stand-in may be likelier
+than any one of several laws, and less likely than all of them. A new likeliest model
+gives back each of its effects by turns, as the first may have stood in for what was
+found later. The search ends where the likeliest model is as likely as if what it leaves
+were noise.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -40,7 +41,7 @@ from phsi_opt.screening.score_test import Screened
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.sweeps.sweep import Progress, ahead
 
-MOST_IN_VAIN = 3  # models that are enlarged in a row and lead to no likelier one
+BEAM = 3  # models of one size that are enlarged
 MOST_EFFECTS = 4  # of one model
 
 
@@ -81,7 +82,6 @@ class _Step:
     record: EvidenceRecord  # beside which the new one was screened
     further: Screened
     promise: float  # expected log evidence, as that of `Combination`
-    worth: float  # log likelihood below which it is not near the likeliest model
 
     @property
     def key(self) -> frozenset[str]:
@@ -95,7 +95,7 @@ def _promise(further: Screened, price: float) -> float:
 
 
 def _weighed(step: _Step, say: Progress) -> Weighed:
-    return weighed_of(step.record, step.further, say, step.worth)
+    return weighed_of(step.record, step.further, say)
 
 
 class Search:
@@ -110,6 +110,8 @@ class Search:
         self.known: dict[frozenset[str], Combination] = {}
         # The largest share of its promise that an effect kept where it was weighed.
         self.kept: dict[str, float] = {}
+        # Log likelihood of models that left noise alone.
+        self._noise_alone: dict[frozenset[str], float] = {}
         for one in ranking.candidates:
             if one.was_weighed and not one.lost:
                 further = ranking.screened[one.name]
@@ -119,52 +121,45 @@ class Search:
                 self._compare(one.name, _promise(further, price), one.log_evidence)
 
     def run(self) -> None:
-        """Enlarge the likeliest models, until some in a row find no likelier one."""
-        enlarged: set[frozenset[str]] = set()
-        models: list[Combination | None] = [*self.in_order()]
-        n_in_vain = 0
-        while n_in_vain < MOST_IN_VAIN:
-            may_gain = (one for one in models if one and self._may_gain(one, enlarged))
-            one = next(may_gain, None)
-            if one is None:
+        """Enlarge the likeliest models of each size, until one is complete."""
+        for size in range(1, MOST_EFFECTS):
+            if self.is_complete():
                 return
-            best = self.in_order()[0]
-            enlarged.add(one.key)
-            self._enlarge(one)
-            found = self.in_order()[0]
-            n_in_vain += 1
-            if found is best:
-                continue
-            n_in_vain = 0
-            # What was found first may have stood in for what came after.
-            rests = [self._without(found, str(effect)) for effect in found.effects]
-            models = [*self.in_order()]
-            if models[0] is found and self.is_complete(found):
-                # No further effect can gain; another in place of one of them may.
-                models = rests
+            enlarged: set[frozenset[str]] = set()
+            while fresh := [one for one in self._beam(size) if one.key not in enlarged]:
+                best = self.in_order()[0]
+                enlarged.add(fresh[0].key)
+                self._enlarge(fresh[0])
+                found = self.in_order()[0]
+                # What was found first may have stood in for what came after.
+                for effect in found.effects if found is not best else ():
+                    self._without(found, str(effect))
 
-    def _may_gain(self, one: Combination, enlarged: Collection[frozenset[str]]) -> bool:
-        """Whether a further effect may make it the likeliest model.
+    def _beam(self, size: int) -> list[Combination]:
+        """The likeliest models of a size that no smaller model equals."""
+        highest = max((one.log_evidence for one in self.known.values()), default=0.0)
+        least = FAR_BEHIND * max(highest, 0.0)
+        alike = [one for one in self.in_order() if len(one.effects) == size]
+        return [
+            one
+            for one in alike
+            if one.log_evidence > least and not self._has_equal(one)
+        ][:BEAM]
 
-        It is not far behind that, and no smaller model does as well.
-        """
-        if one.key in enlarged or len(one.effects) == MOST_EFFECTS:
-            return False
-        highest = max(self.in_order()[0].log_evidence, 0.0)
+    def _has_equal(self, one: Combination) -> bool:
         least = (1 - LEAST_FINDING) * one.log_evidence
         rests = (rest for rest in self.known.values() if rest.key < one.key)
-        has_equal = any(rest.log_evidence > least for rest in rests)
-        return one.log_evidence > FAR_BEHIND * highest and not has_equal
+        return any(rest.log_evidence > least for rest in rests)
 
-    def is_complete(self, one: Combination) -> bool:
-        """Whether a model is as likely without any force."""
-        sizes = replace(one.weighed.disturbances, forces=())
-        start = replace(one.weighed, processes=None, disturbances=sizes)
-        with suppress(SolveError):
-            alone = self.ranking.record.weighing.weighed(start)
-            gain = one.weighed.log_evidence - alone.log_evidence
-            return gain < DECISIVE_EVIDENCE
-        return False
+    def is_complete(self) -> bool:
+        """Whether the likeliest model is as likely as if it left noise alone."""
+        one = next(iter(self.in_order()), None)
+        if one is None:
+            return False
+        if one.key not in self._noise_alone:
+            self._noise_alone[one.key] = self.ranking.record.log_noise(one.weighed)
+        missing = self._noise_alone[one.key] - one.weighed.log_likelihood
+        return missing < DECISIVE_EVIDENCE
 
     def in_order(self) -> list[Combination]:
         """What was weighed, the likeliest first."""
@@ -207,18 +202,20 @@ class Search:
         return found
 
     def _enlarge(self, one: Combination) -> None:
-        """Weigh a model with each further effect, the most promising first.
+        """Weigh a model with further effects, the most promising first.
 
-        Until none is expected to come near the likeliest one that was found; each as
-        long as it promises to.
+        Until none promises to gain, or to come near the likeliest model of that size.
         """
         steps = [step for step in self._steps(one) if step.key not in self.known]
         steps.sort(key=lambda step: -step.promise)
         cases = {str(step.further.effect): step for step in steps}
         say = self.base.say
         with closing(ahead(_weighed, cases, self.base.executor, say)) as results:
-            for step in steps:
-                if step.promise < self.in_order()[0].log_evidence - STRONG_EVIDENCE:
+            for number, step in enumerate(steps):
+                least = one.log_evidence
+                if number:
+                    least = max(least, self._highest(len(step.effects)))
+                if step.promise < least - STRONG_EVIDENCE:
                     return
                 with suppress(SolveError):
                     found = self._take(step.effects, step.prices, next(results)())
@@ -227,6 +224,11 @@ class Search:
                         expected = _promise(step.further, step.prices[name])
                         gain = found.log_evidence - one.log_evidence
                         self._compare(name, expected, gain)
+
+    def _highest(self, size: int) -> float:
+        """Log evidence of the likeliest model of a size."""
+        alike = (one for one in self.known.values() if len(one.effects) == size)
+        return max((one.log_evidence for one in alike), default=-np.inf)
 
     def _compare(self, name: str, expected: float, gain: float) -> None:
         """Note what an effect kept of its promise."""
@@ -251,7 +253,6 @@ class Search:
                 record,
                 further,
                 one.log_evidence + gain,
-                self.in_order()[0].weighed.log_likelihood - STRONG_EVIDENCE,
             )
 
     def _without(self, larger: Combination, name: str) -> Combination | None:

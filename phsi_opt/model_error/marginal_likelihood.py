@@ -593,12 +593,17 @@ class OptimalitySystem:
         density one in the units of the states. Parameters are not, so that models with
         other parameters can be compared.
         """
-        border, problem = self.border, self.problem
+        border = self.border
         inner = border.precision[border.n_theta :, border.n_theta :]
         log_det = np.linalg.slogdet(border.precision)[1] - np.linalg.slogdet(inner)[1]
-        n_free = problem.n_values - len(problem.grid.starts) * problem.n_states
-        constant = n_free * np.log(2 * np.pi) / 2
+        constant = self.n_free * np.log(2 * np.pi) / 2
         return float(border.log_evidence + log_det / 2 - constant)
+
+    @property
+    def n_free(self) -> int:
+        """Number of values that starting states leave free."""
+        problem = self.problem
+        return problem.n_values - len(problem.grid.starts) * problem.n_states
 
     @property
     def log_model_evidence(self) -> float:

@@ -123,10 +123,9 @@ class _Found:
     @cached_property
     def evidence(self) -> float:
         """Log likelihood, states and forces integrated out."""
-        problem, border = self.system.problem, self.system.border
-        n_free = problem.n_values - len(problem.grid.starts) * problem.n_states
+        border = self.system.border
         found = _log_likelihood(border, np.zeros(border.n_theta))
-        return found - n_free * np.log(2 * np.pi) / 2
+        return found - self.system.n_free * np.log(2 * np.pi) / 2
 
     @property
     def is_valid(self) -> bool:
@@ -486,6 +485,23 @@ class EvidenceRecord:
         found = problem.optimum(problem.values.point.scaled, 0)
         slopes = problem.tilted(found).slope / problem.values.point.theta_scale
         return np.asarray(slopes[places])
+
+    def log_noise(self, weighed: Weighed) -> float:
+        """Log likelihood that a model would have if what it leaves were noise.
+
+        No force acts, so that starting states and parameters alone are integrated out,
+        and the squares of the residuals are as many as these leave free.
+        """
+        sizes = replace(weighed.disturbances, forces=())
+        start = replace(weighed, processes=None, disturbances=sizes)
+        problem = self.weighing.problem(start)
+        # The slopes alone are of interest: of the states that the force explains.
+        problem = replace(problem, moving=problem.moving[:0])
+        found = problem.optimum(problem.values.point.scaled, 0)
+        system = found.likelihood.at(sizes)
+        n_free = system.n_free - len(weighed.theta)
+        volume = system.border.log_constant - system.n_free * np.log(2 * np.pi) / 2
+        return float(volume - n_free / 2)
 
     def held_as(self, hold: Hold) -> "EvidenceRecord":
         """With inputs that do otherwise between their samples.
