@@ -99,7 +99,6 @@ class Case:
     alone: float | None = -100.0  # log evidence without a force; None: not found
     functions: list[Candidate] = field(default_factory=list)  # unknown ones
     are_candidates: bool = True
-    asked: list[str] = field(default_factory=list)  # what was re-fitted
 
     def concluded(self, monkeypatch: pytest.MonkeyPatch) -> ph.Diagnosis:
         record = SimpleNamespace(
@@ -134,7 +133,6 @@ class Case:
         )
 
     def refit(self, base: DiagnosedModel, one: Candidate) -> DiagnosedModel | None:
-        self.asked.append(one.name)
         return self.larger.get(one.name, fitted(run(1.05, p=0.5)))
 
     def size(self, model: ph.Model, fit: ph.Fit, effect: ph.Effect) -> Size:

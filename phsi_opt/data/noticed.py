@@ -388,6 +388,8 @@ def breaks_of(run: Trajectory) -> np.ndarray:
     as `is_stepped` leaves to noise. The
     states of a model begin anew after the gap, and need some samples on both sides.
     """
+    if not run.u.shape[1]:
+        return NO_SAMPLES
     look = DataLook((run,))
     missed = cache(partial(_missed_share, look))
     breaks = [-1]

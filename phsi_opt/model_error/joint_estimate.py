@@ -290,6 +290,7 @@ class JointProblem:
         moving = self.moving
         passed: list[tuple[float, float]] = []
         has_converged = is_curved = False
+        curved = None  # the place before its step, with the curvature of the dynamics
         # Share of the parameters' information that is added to it where no part of a
         # step leads down (Levenberg 1944, Marquardt 1963).
         least_damping = 1e-2
@@ -300,12 +301,15 @@ class JointProblem:
             n_steps += 1
             passed.append((place.objective, place.missed))
             there = None
+            origin = place
             if is_curved:
-                aim = place.curved().aim(0.0)
+                origin = curved = place.curved(curved)
+                aim = origin.aim(0.0)
                 # Which may lead uphill.
                 there = self._lower(place, aim, passed, 3)
             is_whole = there is not None or damping == 0
             if there is None:
+                origin = place
                 aim = place.aim(damping)
                 there = self._lower(place, aim, passed)
             if is_whole:
@@ -326,7 +330,7 @@ class JointProblem:
             fall = target.fall * objectives[-1]
             is_short = is_whole and length * contraction < target.length
             has_converged = is_short and there.violation < SETTLED_VIOLATION
-            has_converged = has_converged and place.moves_all(aim)
+            has_converged = has_converged and origin.moves_all(aim)
             if place.objective - objectives[-1] < fall and length**2 / 2 < fall:
                 has_converged = True
             # No step is short beside a kink.
@@ -443,16 +447,19 @@ class _Place:
         """The same place, the record linearised here, functions of states as before."""
         return replace(self, likelihood=self.likelihood.relinearized(self._linear()))
 
-    def curved(self) -> "_Place":
-        """The same place, where the curvature of the dynamics takes part."""
+    def curved(self, before: "_Place | None") -> "_Place":
+        """The same place, where the curvature of the dynamics takes part, as before."""
         # The optimum of what is then quadratic is Newton's step. Where forces are large
         # the steps of Gauss and Newton, who leave it out, shrink slowly or grow.
         assert self.multipliers is not None
         problem = self.problem
         curvature = problem.linearizer.curvature(self.point.z, self.multipliers)
         linear = self._linear(curvature)
-        likelihood = MarginalLikelihood(linear, problem.disturbances, problem.moving)
-        return replace(self, likelihood=likelihood)
+        if before is None:
+            new = MarginalLikelihood(linear, problem.disturbances, problem.moving)
+        else:
+            new = before.likelihood.relinearized(linear, problem.moving)
+        return replace(self, likelihood=new)
 
     def _linear(self, curvature: Curvature | None = None) -> Linearization:
         along = self.linear.states_of_functions
