@@ -13,7 +13,7 @@ import phsi_opt as ph
 from phsi_opt.comparison.compare import flat_sentence, is_flat
 from phsi_opt.presentation.units import Scale, Unit
 from phsi_opt.statistics import ljung_box
-from tests.machines import driven_spring
+from tests.systems import spring
 
 T = np.linspace(2.0, 8.0, 61)
 U = np.sin(1.1 * T)
@@ -23,7 +23,7 @@ NOISE = {"q": 0.01, "p": 0.03}
 UNITS = {"t": "s", "q": "m", "p": "kg m/s"}
 
 
-KNOWN = driven_spring(2.0, 0.3)
+KNOWN = spring(2.0, 0.3, F="u")
 
 
 @cache
@@ -134,7 +134,7 @@ def test_the_energy_balance_is_that_of_spring_damper_and_input() -> None:
 @cache
 def fitted() -> ph.Fit:
     """Stiffness and damping of two runs, each with an offset of its own."""
-    model = driven_spring(ph.Parameter(1.5, lower=0), ph.Parameter(0.2, lower=0))
+    model = spring(ph.Parameter(1.5, lower=0), ph.Parameter(0.2, lower=0), F="u")
     offset = ph.formula("b", b=ph.Parameter(0.0, per_trajectory=True))
     return ph.identify(replace(model, sensor={"q": offset}), measured(True)[:2])
 

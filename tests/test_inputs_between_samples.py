@@ -20,7 +20,7 @@ from phsi_opt.study_file.survey import first_text, survey
 from phsi_opt.study_file.toml_text import toml_tables
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import AlignedData, grid_of
-from tests.machines import pushed_mass
+from tests.systems import pushed_mass
 
 # ---- smooth inputs
 

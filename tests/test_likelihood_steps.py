@@ -19,29 +19,17 @@ from phsi_opt.optimization.ipopt import DIRECT_STEPS
 from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks import chains
 from problems.benchmarks.peer_problems import PROBLEMS, drawn
+from tests import systems
+from tests.systems import Number, pair, positive, recorded
 
 T = np.linspace(0.0, 20.0, 201)
 NOISE = 0.02
 MANY_MASSES = 16
 BY_IPOPT = ph.SolverSettings(solver="ipopt")
-Number = ph.Parameter | float
-
-
-def oscillator(H: str, R: Any) -> ph.PseudoHamiltonian:
-    terms = R if not isinstance(R, str) else ph.formula(R)
-    energy = ph.formula(H) if isinstance(H, str) else H
-    return ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=energy, R={"p": terms}
-    )
 
 
 def spring(k: Number, c: Number, m: Number = 1.5) -> ph.Model:
-    energy: Any = ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=m)
-    return oscillator(energy, ph.formula("c", c=c))
-
-
-def positive(start: float, **bounds: float) -> ph.Parameter:
-    return ph.Parameter(start, **{"lower": 0.0, **bounds})  # type: ignore[arg-type]
+    return systems.spring(k, c, m)
 
 
 def unknown(k: float = 1.0, c: float = 0.1) -> ph.Model:
@@ -51,11 +39,9 @@ def unknown(k: float = 1.0, c: float = 0.1) -> ph.Model:
 def swinging(
     truth: ph.Model | None = None, *, only_q: bool = True, seed: int = 0
 ) -> ph.Measurements:
-    x = ph.simulate(truth or spring(1.7, 0.15), T, [1.0, 0.0])
-    y = x + NOISE * np.random.default_rng(seed).normal(size=x.shape)
-    if only_q:
-        y[:, 1] = np.nan
-    return ph.Measurements.from_arrays(T, y, states=["q", "p"])
+    truth = truth or spring(1.7, 0.15)
+    shown = "q" if only_q else "qp"
+    return recorded(truth, T, [1.0, 0.0], noise=NOISE, seed=seed, shown=shown)
 
 
 def assert_same(fit: ph.Fit, other: ph.Fit, share: float) -> None:
@@ -240,19 +226,13 @@ def rubbing(corner: float, friction: Number, damping: Number) -> ph.Model:
     ``corner``.
     """
     loss = "c + f*(dH_dp**4 + v0**4)**(-1/4)"
-    terms = ph.formula(loss, c=damping, f=friction, v0=corner)
-    return oscillator("1.7*q**2/2 + p**2/2", terms)
+    return pair("1.7*q**2/2 + p**2/2", loss, c=damping, f=friction, v0=corner)
 
 
 def rubbed(corner: float) -> ph.Measurements:
     """Positions of two runs that come to rest away from the middle."""
-    rng = np.random.default_rng(0)
-    runs = []
-    for x0 in STARTS:
-        x = ph.simulate(rubbing(corner, FRICTION, DAMPING), STUCK_TIMES, x0)
-        runs.append(x + FINE_NOISE * rng.normal(size=x.shape))
-        runs[-1][:, 1] = np.nan
-    return ph.Measurements.from_arrays([STUCK_TIMES] * 2, runs, states=["q", "p"])
+    truth = rubbing(corner, FRICTION, DAMPING)
+    return recorded(truth, STUCK_TIMES, *STARTS, noise=FINE_NOISE, shown="q")
 
 
 def friction_and_damping_free(corner: float) -> ph.Model:

@@ -33,6 +33,7 @@ from phsi_opt.model_error.marginal_likelihood import Border
 from phsi_opt.model_error.standard_errors import Clusters, Source, degrees_of_freedom
 from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks import chains
+from tests.systems import Number, pair, positive
 
 TRUE = {"k": 4.0, "c": 0.3, "g": 1.0}
 SIZE = 0.2  # of the hidden force, a tenth of the typical acceleration
@@ -498,18 +499,9 @@ def spring(
     **values: ph.Parameter,
 ) -> ph.PseudoHamiltonian:
     """A damped spring with a known mass, a sensor's formula or a force more."""
-    known: dict[str, ph.Parameter | float] = {
-        "k": ph.Parameter(40.0, lower=0),
-        "m": 2.5,
-    }
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula(energy, **(known | values)),
-        R=ph.damping("p"),
-        F={} if F is None else {"p": F},
-        sensor={} if sensor is None else {"q": sensor},
-    )
+    known: dict[str, Number] = {"k": positive(40.0), "m": 2.5}
+    shown = {} if sensor is None else {"q": sensor}
+    return pair(energy, ph.damping("p"), F, sensor=shown, **(known | values))
 
 
 ENERGY = "k*q**2/2 + p**2/(2*m)"

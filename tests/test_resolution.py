@@ -1,7 +1,6 @@
 """Quantised sensors: the step from the values alone, and the noise that it makes."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +8,9 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.data.channel_noise import lattice_step, resolution
 from phsi_opt.diagnosis.candidate import Grade
+from tests.systems import STARTS, damped_spring, positive, spring
 
 T = np.linspace(0.0, 14.0, 281)
-STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
 PER_STEP = 1 / np.sqrt(12)
 
 
@@ -91,18 +90,12 @@ def test_the_step_scales_with_the_unit_and_does_not_ask_for_the_order() -> None:
 # ---- the noise that it makes ---------------------------------------------------------
 
 
-def oscillator(energy: Any, loss: Any) -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy, R=loss)
-
-
 def truth(friction: float = 0.0) -> ph.PseudoHamiltonian:
-    loss = f"0.1 + {friction}*(p**4 + 0.03**4)**(-0.25)" if friction else "0.1"
-    return oscillator(ph.formula("2.3*q**2/2 + p**2/2"), {"p": ph.formula(loss)})
+    return damped_spring(loss=f"0.1 + {friction}*(p**4 + 0.03**4)**(-0.25)")
 
 
 def base() -> ph.PseudoHamiltonian:
-    k = ph.Parameter(2.0, lower=0)
-    return oscillator(ph.formula("k*q**2/2 + p**2/2", k=k), ph.damping("p"))
+    return spring(positive(2.0))
 
 
 def measured(

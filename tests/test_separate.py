@@ -15,26 +15,21 @@ import phsi_opt as ph
 from phsi_opt.diagnosis.experiments import Experiment, next_experiment
 from phsi_opt.presentation.units import Scale, Unit
 from phsi_opt.simulation.simulate import free_run
+from tests import systems
+from tests.systems import Number, pair
 
 NOISE = 0.02
 SIGMA = {"q": NOISE}
 OFFSET = {"q": ph.formula("b", b=ph.Parameter(0.0))}
 PUSH = {"p": ph.formula("f", f=ph.Parameter(0.0))}
-DRIVEN: Any = {"inputs": ["u"], "F": {"p": ph.formula("u")}}
+DRIVEN: Any = {"F": "u"}
 LIMITS = {"u": (-60.0, 60.0), "q": (-5.0, 5.0), "p/2.5": (-6.0, 6.0), "t": 6.0}
 REST = {"q": 0.0, "p": 0.0}
 Fits = dict[str, ph.Fit]
 
 
-def hamiltonian(H: Any, R: Any, **slots: Any) -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=H, R=R, **slots)
-
-
-def spring(
-    k: ph.Parameter | float = 40.0, m: ph.Parameter | float = 2.5, **slots: Any
-) -> ph.PseudoHamiltonian:
-    energy = ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=m)
-    return hamiltonian(energy, ph.damping("p"), **slots).with_values({"R_p": 0.5})
+def spring(k: Number = 40.0, m: Number = 2.5, **slots: Any) -> ph.PseudoHamiltonian:
+    return systems.spring(k, m=m, **slots).with_values({"R_p": 0.5})
 
 
 def positions(
@@ -149,8 +144,8 @@ def test_an_offset_and_a_force_are_the_same_on_a_linear_spring() -> None:
 
 
 def test_on_a_hardening_spring_a_larger_start_tells_an_offset_from_a_force() -> None:
-    parts = ph.formula("20*q**2 + 300*q**4/4 + p**2/5"), {"p": ph.formula("0.5")}
-    sensor, force = hamiltonian(*parts, sensor=OFFSET), hamiltonian(*parts, F=PUSH)
+    parts = "20*q**2 + 300*q**4/4 + p**2/5", "0.5"
+    sensor, force = pair(*parts, sensor=OFFSET), pair(*parts, PUSH)
     data = positions(sensor, np.linspace(0.0, 3.0, 151), [0.1, 0.0], offset=0.1)
     models = {"sensor": sensor, "force": force}
     fits = {name: ph.identify(model, data) for name, model in models.items()}

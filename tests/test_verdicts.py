@@ -18,7 +18,7 @@ import phsi_opt as ph
 from problems.battery.ask import findings_of
 from problems.battery.draw import KINDS, ROWS, Row, draw
 from problems.battery.records import Case
-from tests.machines import damped_spring, swings
+from tests.systems import damped_spring, swings
 
 Force = Callable[[float, float], float]  # of position and velocity, at unit mass
 GRAVITY = 9.81

@@ -17,6 +17,7 @@ from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.sensitivities import Sensitivities
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
+from tests.systems import Number, pair, positive, recorded
 
 T = np.linspace(0.0, 8.0, 81)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.8, -0.7])
@@ -27,29 +28,15 @@ LOSSES = {
 }
 
 
-def spring(
-    loss: str | None = None, k: float | ph.Parameter = 2.3
-) -> ph.PseudoHamiltonian:
+def spring(loss: str | None = None, k: Number = 2.3) -> ph.PseudoHamiltonian:
     """A unit mass with a spring and a damper, or with a loss of another law."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=k),
-        R=ph.damping("p") if loss is None else {"p": ph.formula(loss)},
-    )
+    return pair("k*q**2/2 + p**2/2", loss or ph.damping("p"), k=k)
 
 
 @cache
 def measured(loss: str) -> ph.Measurements:
     """Positions of three runs, with white noise."""
-    rng = np.random.default_rng(0)
-    runs = []
-    for start in STARTS:
-        x = ph.simulate(spring(loss), T, start)
-        x[:, 0] += NOISE * rng.normal(size=len(T))
-        x[:, 1] = np.nan
-        runs.append(x)
-    return ph.Measurements.from_arrays([T] * 3, runs, states=["q", "p"])
+    return recorded(spring(loss), T, *STARTS, noise=NOISE, shown="q")
 
 
 @cache
@@ -59,7 +46,7 @@ def record_of(
     """The model without the loss beside a force; perhaps the last run is held out."""
     data = measured(loss)
     train = data[:2] if is_held_out else data
-    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), train)
+    fit = ph.identify(spring(k=positive(2.0)), train)
     judged = ph.compare(fit, data[2:]).record if is_held_out and not is_alone else None
     return EvidenceRecord.of(ph.compare(fit, train).record, judged)
 
@@ -204,14 +191,14 @@ def test_the_evidence_is_that_of_the_training_and_what_the_data_held_out_add() -
 
 def test_no_force_is_needed_where_nothing_is_missing() -> None:
     data = measured("0.1")
-    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), data)
+    fit = ph.identify(spring(k=positive(2.0)), data)
     record = record_of("0.1")
     alone = record.fitted([ph.compare(fit, data)], has_force=False)
     assert alone.force_share(1) == 0
     gain = record.base.log_evidence - alone.log_evidence
     assert gain < DECISIVE_EVIDENCE
     lossy = measured(LOSSES["quadratic drag"])
-    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), lossy)
+    fit = ph.identify(spring(k=positive(2.0)), lossy)
     record = record_of(LOSSES["quadratic drag"])
     alone = record.fitted([ph.compare(fit, lossy)], has_force=False)
     assert record.base.log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
@@ -222,14 +209,7 @@ def test_no_force_is_needed_where_nothing_is_missing() -> None:
 
 def pushed(shown: str = "u") -> ph.PseudoHamiltonian:
     """A driven spring of which the stiffness is to be found."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
-        R={"p": "0.3"},
-        F={"p": ph.formula(shown)},
-    )
+    return pair("k*q**2/2 + p**2/2", "0.3", shown, k=positive(2.0))
 
 
 def late_by(delay: float, n_samples: int) -> EvidenceRecord:
@@ -337,7 +317,7 @@ def test_screening_expects_no_gain_of_a_sensor_from_what_forces_can_do() -> None
         x[:, 1] = np.nan
         runs.append(x)
     data = ph.Measurements.from_arrays([T] * 3, runs, states=["q", "p"])
-    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), data)
+    fit = ph.identify(spring(k=positive(2.0)), data)
     record = EvidenceRecord.of(ph.compare(fit, data).record, None)
     gain = effect_named(record.base.model, "sensor gain", "q")
     linearized = LinearizedRecord.beside_force(record)

@@ -23,26 +23,18 @@ from phsi_opt.force_analysis.cross_validation import (
 )
 from phsi_opt.force_analysis.pictures import plot_where
 from phsi_opt.force_analysis.waves import _power, spectrum
+from tests import systems
+from tests.systems import Number, pair, positive
 
 M, K, D = 2.5, 40.0, 0.8
 UNITS = {"q": "m", "p": "kg m/s", "t": "s", "u": "N"}
 Force = Callable[[float, float, float, float], float]  # of t, q, v, u
 
 
-def spring(
-    k: ph.Parameter | float | None = None, c: ph.Parameter | float | None = None
-) -> ph.PseudoHamiltonian:
+def spring(k: Number | None = None, c: Number | None = None) -> ph.PseudoHamiltonian:
     """A driven spring whose stiffness and damping are to be found unless given."""
-    k = ph.Parameter(30.0, lower=0) if k is None else k
-    c = ph.Parameter(0.5, lower=0) if c is None else c
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=M),
-        R={"p": ph.formula("c", c=c)},
-        F={"p": "u"},
-    )
+    k = positive(30.0) if k is None else k
+    return systems.spring(k, positive(0.5) if c is None else c, M, "u")
 
 
 def spring_with(
@@ -343,14 +335,7 @@ def turned(torque: Callable[[float], float], unit: str) -> ph.Measurements:
 
 
 def motor() -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("p**2/(2*J)", J=ph.Parameter(0.03, lower=1e-3)),
-        R=ph.damping("p"),
-        F={"p": "u"},
-    )
+    return pair("p**2/(2*J)", ph.damping("p"), "u", J=positive(0.03, lower=1e-3))
 
 
 @cache
