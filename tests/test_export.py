@@ -3,6 +3,7 @@
 import dataclasses
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -19,6 +20,7 @@ from phsi_opt.export import targets
 from phsi_opt.export.equations import Equations, allowed_names
 from problems.benchmarks.exports import AGREED, Motion, compared
 from problems.tools.exported import Compiled, run_fmu
+from tests import systems
 
 T = np.linspace(0.0, 4.0, 81)
 PULSES = np.column_stack([np.sign(np.sin(3 * T)), np.cos(T)])
@@ -37,16 +39,11 @@ def fitted(model: ph.Model, hold: str = "linear", **options: object) -> ph.Fit:
     return ph.identify(model, data, **options)  # type: ignore[arg-type]
 
 
-def driven(force: str, **parameters: ph.Parameter | float) -> ph.PseudoHamiltonian:
+def driven(force: Any, **parameters: ph.Parameter | float) -> ph.PseudoHamiltonian:
     """A mass on a spring with a free damper, and a force."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(9.0), m=1.5),
-        R={"p": ph.formula("c", c=ph.Parameter(0.3))},
-        F={"p": ph.formula(force, **parameters)},
-    )
+    force = ph.formula(force, **parameters)
+    k, c = ph.Parameter(9.0), ph.Parameter(0.3)
+    return systems.spring(k, c, 1.5, force, inputs=["u"])
 
 
 @cache

@@ -56,19 +56,6 @@ def test_a_start_above_the_limit_is_not_told_of_a_fit_that_left_it(swing) -> Non
     assert not fit.caution and "Nyquist" not in str(fit)
 
 
-@pytest.mark.parametrize("k", [1900.0, 2100.0])  # the limit: m (pi/h)^2 = 1974 N/m
-def test_the_limit_of_a_start_is_that_of_nyquist(k, swing) -> None:
-    said = fast_motion(spring_at(k), grid_of(swing), swing.units)
-    assert bool(said) == (k > 2 * (np.pi / 0.1) ** 2)
-
-
-def test_a_frequency_without_a_start_or_a_choice_is_not_doubted(swing) -> None:
-    unknown = spring_at(5e7, m=ph.Parameter(lower=0.1))
-    known = spring_at(5e7).frozen()
-    for model in (unknown, known, spring_at(None)):
-        assert not fast_motion(model, grid_of(swing), swing.units)
-
-
 # ---- states by kinematics ------------------------------------------------------------
 
 
@@ -84,14 +71,6 @@ def test_a_momentum_follows_from_the_rate_of_its_position() -> None:
     inside = slice(70, 190)
     # Differences over two intervals of 0.1: the third derivative times h^2 / 6.
     np.testing.assert_allclose(found[inside, 1], x[inside, 1], atol=0.01)
-
-
-def test_a_state_that_moves_nothing_measured_is_not_guessed() -> None:
-    rates = {"a": ph.formula("-a"), "b": ph.formula("a - b"), "c": ph.formula("b - c")}
-    model = ph.FirstOrder(["a", "b", "c"], rates)
-    found, is_complete = kinematic_states(model, first_state(model, np.exp(-T)))
-    assert not is_complete
-    np.testing.assert_array_equal(found[:, 1:], 0.0)
 
 
 # ---- formulas without values ---------------------------------------------------------

@@ -244,19 +244,6 @@ def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(huber) ->
     assert np.mean(agreement) == pytest.approx(0.5, abs=0.3)
 
 
-@pytest.mark.parametrize("loss", [ph.MaximumLikelihood(), WITH_FORCE])
-def test_two_calls_give_the_same_bits(loss: ph.MaximumLikelihood) -> None:
-    one = ph.identify(oscillator(), record(1), loss)
-    other = ph.identify(oscillator(), record(1), loss)
-    assert one.values == other.values
-    assert one.model_error_rows == other.model_error_rows
-    assert one.has_model_error == other.has_model_error
-    assert one.bic == other.bic
-    for source, covariance in one.covariances.items():
-        np.testing.assert_array_equal(covariance, other.covariances[source])
-    np.testing.assert_array_equal(one.degrees_of_freedom, other.degrees_of_freedom)
-
-
 def test_intervals_use_the_degrees_of_freedom_of_each_standard_error() -> None:
     fit = plain_fit(0)
     freedom = fit.degrees_of_freedom

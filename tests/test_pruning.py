@@ -8,11 +8,11 @@ from scipy import stats
 
 import phsi_opt as ph
 from phsi_opt import Pruning
+from tests.systems import pair
 
 
 def dictionary(degree: int = 2, **slots: Any) -> ph.PseudoHamiltonian:
-    H = ph.polynomials(["q", "p"], degree=degree)
-    return ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=H, **slots)
+    return pair(ph.polynomials(["q", "p"], degree), **slots)
 
 
 MODEL = dictionary(R=ph.damping("p"))

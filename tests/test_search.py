@@ -10,6 +10,7 @@ from phsi_opt.diagnosis.ranking import ranked
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.diagnosis.search import Search
 from phsi_opt.model.catalogue import EffectChoice
+from tests.systems import pair, positive
 
 
 def swing(amplitude: float, seed: int) -> ph.Measurements:
@@ -28,8 +29,7 @@ def swing(amplitude: float, seed: int) -> ph.Measurements:
 
 @pytest.fixture(scope="module")
 def base() -> DiagnosedModel:
-    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(3.0, lower=0))
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy)
+    model = pair("k*q**2/2 + p**2/2", k=positive(3.0))
     train, test = swing(4.0, 41), swing(5.0, 42)
     fit = ph.identify(model, train)
     return DiagnosedModel.of(compare(fit, train), compare(fit, test), None)
@@ -91,8 +91,7 @@ def test_an_input_that_acts_late_is_found_from_a_fit_of_its_own() -> None:
 
 
 def test_laws_named_together_are_added_one_by_one_as_the_error_falls() -> None:
-    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(3.0, lower=0))
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy)
+    model = pair("k*q**2/2 + p**2/2", k=positive(3.0))
     train, test = swing(4.0, 41), swing(5.0, 42)
     study = ph.Study(model, train, held_out=test, effects=list(LAWS[:3]))
     found = study.diagnose()

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.optimize import least_squares
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.experiments import Experiment, next_experiment
@@ -86,39 +85,6 @@ def test_the_limits_hold_along_the_true_motion(
     assert np.max(np.abs(x[:, 0])) <= 5.0 * 1.001
     speed = np.max(np.abs(x[:, 1] / 2.5))
     assert 5.0 < speed <= 6.0 * 1.001  # it uses what is allowed
-
-
-def test_the_expected_factor_is_what_a_search_over_the_parameters_leaves(
-    resonant: tuple[Fits, ph.Measurements], found: Experiment
-) -> None:
-    """Reference: SciPy's least squares on simulations of record and experiment."""
-    fits, data = resonant
-    run = data.trajectories[0]
-    stiff, heavy = fits["stiff"], fits["heavy"]
-    runs = ((run.t, run.u, stiff.states[0][0]), (found.t, found.u, np.zeros(2)))
-    truth = [free_run(stiff.model, t, x0, u)[:, 0] for t, u, x0 in runs]
-
-    def misfit(z: np.ndarray, n_runs: int) -> np.ndarray:
-        model = heavy.model.with_values(dict(zip(heavy.model.free, z[:2], strict=True)))
-        left = []
-        for k, (t, u, _) in enumerate(runs[:n_runs]):
-            q = free_run(model, t, z[2 + 2 * k : 4 + 2 * k], u)[:, 0]
-            left.append((q - truth[k]) / NOISE)
-        return np.concatenate(left)
-
-    cost = []
-    for n_runs in (1, 2):
-        begin = np.r_[heavy.model.theta, heavy.states[0][0], np.zeros(2)]
-        best = least_squares(misfit, begin[: 2 + 2 * n_runs], "3-point", args=(n_runs,))
-        cost.append(best.cost)
-    assert found.log_bayes["stiff"] == pytest.approx(cost[1] - cost[0], rel=0.02)
-
-
-def test_the_same_seed_designs_the_same_experiment(
-    resonant: tuple[Fits, ph.Measurements], found: Experiment
-) -> None:
-    again = next_experiment(*resonant, SIGMA, LIMITS, REST)
-    np.testing.assert_array_equal(again.u, found.u)
 
 
 def test_an_input_for_one_parameter_tells_it_better_than_the_record_as_long(

@@ -335,9 +335,7 @@ def test_a_force_of_a_model_without_the_memory_serves_the_list_without_force() -
     q = np.cos(2 * t) * np.exp(-0.1 * t) + 0.01 * rng.standard_normal(101)
     states = np.column_stack([q, np.full(101, np.nan)])
     data = ph.Measurements.from_arrays([t], [states], states=["q", "p"])
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H="k*q**2/2 + p**2/2", R={"p": "c"}
-    )
+    model = pair("k*q**2/2 + p**2/2", "c")
     base = ph.identify(model, data)
     larger = ph.identify(base.model.add("hysteresis"), data, start=base)
     record = Record.of(base, data).refitted(larger)

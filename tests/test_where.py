@@ -16,10 +16,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis, where_answer
 from phsi_opt.force_analysis.cross_validation import (
     explained_share,
-    fold_numbers,
     left_out_error,
-    piecewise_linear_basis,
-    product_basis,
 )
 from phsi_opt.force_analysis.pictures import plot_where
 from phsi_opt.force_analysis.waves import _power, spectrum
@@ -134,24 +131,6 @@ def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
     assert found.energy["unit"].iloc[0] == "W"
 
 
-def test_noise_earns_no_share_and_units_change_none(cases) -> None:
-    def with_force(found: ForceAnalysis, w: np.ndarray) -> ForceAnalysis:
-        along = found.record.along
-        return ForceAnalysis.of(replace(along, estimate=replace(along.estimate, w=w)))
-
-    w = cases["constant"].record.estimate.w
-    noise = np.random.default_rng(1).normal(size=w.shape)
-    of_noise = with_force(cases["constant"], noise)
-    # 2 to 49 coefficients for 400 values, none of them earned.
-    assert of_noise.follows["share"].max() < 0.1
-    told = where_answer(of_noise.force_in("p")).detail
-    assert told == "No state, input or time explains it."
-    plain = cases["cubic"]
-    scaled = with_force(plain, 1e3 * plain.record.estimate.w)
-    shares = scaled.follows["share"]
-    np.testing.assert_allclose(shares, plain.follows["share"], atol=1e-9)
-
-
 # ---- where and when ------------------------------------------------------------------
 
 
@@ -256,35 +235,6 @@ def test_the_panels_name_what_they_show(cases) -> None:
 
 def share(w: np.ndarray, fold: np.ndarray, *bases: np.ndarray) -> float:
     return explained_share(left_out_error(w, fold, bases), float(w @ w))
-
-
-def test_a_true_function_predicts_what_was_left_out_and_a_wrong_one_does_not() -> None:
-    true, wrong = np.random.default_rng(3).normal(size=(2, 600))
-    fold = fold_numbers(np.zeros(600, dtype=int))
-    # Twelve straight pieces follow a parabola that far.
-    assert share(true**2 - 1, fold, piecewise_linear_basis(true)) > 0.9
-    assert share(true**2 - 1, fold, piecewise_linear_basis(wrong)) < 0.05
-    # Bases given apart are fitted together.
-    apart = true[:, None], wrong[:, None]
-    w = true + 2 * wrong
-    assert share(w, fold, *apart) == share(w, fold, np.hstack(apart))
-    assert share(w, fold, *apart) == pytest.approx(1.0, abs=1e-5)
-
-
-def test_a_held_and_a_slow_input_together_do_not_tell_the_time() -> None:
-    n, n_values = 720, 24
-    t = np.linspace(0, 2, n, endpoint=False)
-    run = t.astype(int)
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        held = np.repeat(rng.uniform(0, 900, n_values), n // n_values)
-        slow = np.sin(2 * np.pi * 1.4 * t + run)
-        # What neither has to do with: a slow sum of sines.
-        tones, phases = rng.uniform(0.5, 1.5, 6), rng.uniform(size=6)
-        w = np.sin(2 * np.pi * (np.outer(t, tones) + phases)).sum(axis=1)
-        fold = fold_numbers(run, np.column_stack([held, slow]))
-        bases = [piecewise_linear_basis(u) for u in (held, slow)]
-        assert share(w, fold, *bases, product_basis(held, slow)) < 0.2
 
 
 # ---- forces that repeat along a position: a motor that cogs six times a turn
