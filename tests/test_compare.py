@@ -11,13 +11,13 @@ from scipy import stats
 
 import phsi_opt as ph
 from phsi_opt.comparison.compare import flat_sentence, is_flat
+from phsi_opt.estimation import record
 from phsi_opt.presentation.units import Scale, Unit
 from phsi_opt.statistics import ljung_box
-from tests.systems import spring
+from tests.systems import STARTS, spring
 
 T = np.linspace(2.0, 8.0, 61)
 U = np.sin(1.1 * T)
-STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
 OFFSETS = (0.1, -0.2, 0.3)  # of the position, m
 NOISE = {"q": 0.01, "p": 0.03}
 UNITS = {"t": "s", "q": "m", "p": "kg m/s"}
@@ -236,3 +236,24 @@ def test_a_prediction_by_the_means_of_the_runs_is_as_uncertain_as_these() -> Non
         std = fit.predict(t, [0.0], trajectory=trajectory).std[:, 0]
         expected = slope * np.sqrt(share @ fit.covariance @ share)
         np.testing.assert_allclose(std, expected, rtol=1e-3, atol=1e-9)
+
+
+def test_a_start_is_found_where_the_likelihood_finds_none(monkeypatch) -> None:
+    """States of the missing force follow the data, and begin where no run fits best."""
+    t = 0.05 * np.arange(160)
+    pushed = ph.mechanical(["q"], mass=2.0, forces="u - k*q - c*v", k=9.0, c=0.4)
+    stiffening = pushed.add("cubic stiffness", "p")
+    truth = stiffening.with_values({"cubic_stiffness_q": 6.0})
+    rng = np.random.default_rng(17)
+    u = 3 * np.sin(np.outer(t, (0.9, 2.3)) + rng.uniform(0, 6, 2)).sum(axis=1)
+    x = ph.simulate(truth, t, [1.2, -1.0], u[:, None])
+    x[:, 0] += 0.01 * rng.normal(size=160)
+    x[:, 1] = np.nan
+    data = ph.Measurements.from_arrays(t, x, u, states=["q", "p"], inputs=["u"])
+    fit = ph.identify(pushed, data)
+    other = ph.Measurements.from_arrays(
+        t + 1.0, x, u, states=["q", "p"], inputs=["u"], names=["other"]
+    )
+    best = ph.compare(fit, other).rmse
+    monkeypatch.setattr(record, "_most_likely_states", lambda *_: None)
+    assert ph.compare(fit, other).rmse == pytest.approx(best, rel=1e-3)
