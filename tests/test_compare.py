@@ -14,7 +14,7 @@ from phsi_opt.comparison.compare import flat_sentence, is_flat
 from phsi_opt.estimation import record
 from phsi_opt.presentation.units import Scale, Unit
 from phsi_opt.statistics import ljung_box
-from tests.systems import STARTS, spring
+from tests.systems import STARTS, recorded, spring
 
 T = np.linspace(2.0, 8.0, 61)
 U = np.sin(1.1 * T)
@@ -195,12 +195,10 @@ def test_it_is_told_what_to_do_where_a_run_is_flat() -> None:
 def test_a_prediction_for_new_inputs_is_as_uncertain_as_its_parameters() -> None:
     t = np.linspace(0, 4, 200)
     u = np.ones((200, 1))
-    rng = np.random.default_rng(5)
     law = ph.FirstOrder(
         ["x"], {"x": ph.formula("(b*u - x)/tau", b=2.0, tau=0.8)}, ["u"]
     )
-    x = ph.simulate(law, t, [0.0], u) + rng.normal(0, 0.05, (200, 1))
-    data = ph.Measurements.from_arrays(t, x, u, states=["x"], inputs=["u"])
+    data = recorded(law, t, [0.0], u=u, noise=0.05, seed=5)
     free: Any = {"b": ph.Parameter(1.0), "tau": ph.Parameter(1.0, lower=0)}
     model = ph.FirstOrder(["x"], {"x": ph.formula("(b*u - x)/tau", **free)}, ["u"])
     fit = ph.identify(model, data)

@@ -22,7 +22,16 @@ from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.grid import aligned
 from problems.battery.draw import ROWS, draw
 from tests.sweep_tasks import Counted
-from tests.systems import NOISE, STARTS, damped_spring, pair, positive, spring, swings
+from tests.systems import (
+    NOISE,
+    STARTS,
+    damped_spring,
+    pair,
+    positive,
+    recorded,
+    spring,
+    swings,
+)
 from tests.systems import TIMES as T
 
 
@@ -93,10 +102,7 @@ def pushed(loss: str, gain: str = "1") -> ph.Measurements:
     """Positions of a mass of two, pushed to and fro, with another loss or gain."""
     u = 2 * np.sin(0.9 * T[:, None]) + np.sin(2.3 * T[:, None] + 1)
     model = pair("p**2/(2*2)", loss, f"{gain}*u")
-    x = ph.simulate(model, T, [0.0, 1.0], u)
-    x = x + NOISE * np.random.default_rng(11).normal(size=x.shape)
-    x[:, 1] = np.nan
-    return ph.Measurements.from_arrays([T], [x], [u], states=["q", "p"], inputs=["u"])
+    return recorded(model, T, [0.0, 1.0], u=u, seed=11, shown="q")
 
 
 def test_what_the_base_parameters_can_do_themselves_is_no_candidate() -> None:

@@ -21,6 +21,7 @@ from phsi_opt.export.equations import Equations, allowed_names
 from problems.benchmarks.exports import AGREED, Motion, compared
 from problems.tools.exported import Compiled, run_fmu
 from tests import systems
+from tests.systems import recorded
 
 T = np.linspace(0.0, 4.0, 81)
 PULSES = np.column_stack([np.sign(np.sin(3 * T)), np.cos(T)])
@@ -29,13 +30,9 @@ PULSES = np.column_stack([np.sign(np.sin(3 * T)), np.cos(T)])
 def fitted(model: ph.Model, hold: str = "linear", **options: object) -> ph.Fit:
     """A fit of a few parameters of a model to its own motion with a little noise."""
     u = PULSES[:, : len(model.inputs)]
-    x0 = np.linspace(1.0, 0.5, model.n_states)
-    x = ph.simulate(model, T, x0, u, hold=hold)
-    y = x + 0.001 * np.random.default_rng(0).normal(size=x.shape)
-    y[:, np.isin(model.states, list(model.memory))] = np.nan
-    data = ph.Measurements.from_arrays(
-        T, y, u, states=model.states, inputs=model.inputs, hold=hold
-    )
+    x0 = np.linspace(1.0, 0.5, model.n_states).tolist()
+    shown = [name for name in model.states if name not in model.memory]
+    data = recorded(model, T, x0, u=u, noise=0.001, shown=shown, hold=hold)
     return ph.identify(model, data, **options)  # type: ignore[arg-type]
 
 

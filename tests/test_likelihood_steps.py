@@ -163,9 +163,7 @@ def test_a_bound_at_which_the_model_has_no_values_is_not_stepped_on() -> None:
     def lag(tau: Number) -> ph.Model:
         return ph.FirstOrder(["x"], {"x": ph.formula("(1 - x)/tau", tau=tau)})
 
-    x = ph.simulate(lag(1.0), T, [0.0])
-    y = x + NOISE * np.random.default_rng(0).normal(size=x.shape)
-    data = ph.Measurements.from_arrays(T, y, states=["x"])
+    data = recorded(lag(1.0), T, [0.0], noise=NOISE)
     # A second step from here would end at zero.
     far = (ph.simulate(lag(6.0), T, [0.0]),)
     slow = replace(ph.identify(lag(1.0), data), states=far)

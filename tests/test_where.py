@@ -21,7 +21,7 @@ from phsi_opt.force_analysis.cross_validation import (
 from phsi_opt.force_analysis.pictures import plot_where
 from phsi_opt.force_analysis.waves import _power, spectrum
 from tests import systems
-from tests.systems import Number, pair, positive
+from tests.systems import Number, pair, positive, recorded
 
 M, K, D = 2.5, 40.0, 0.8
 UNITS = {"q": "m", "p": "kg m/s", "t": "s", "u": "N"}
@@ -421,12 +421,8 @@ def test_a_force_is_no_multiple_of_an_inertia_that_the_data_do_not_determine() -
     for power in (0.01, 10.0):
         u = power * np.sign(np.sin(t))[:, None]
         truth = ph.FirstOrder(["T"], {"T": ph.formula("u/2 - T/8")}, ["u"])
-        x = ph.simulate(truth, t, [5.0], u, hold="zero")
-        x = x + 0.01 * np.random.default_rng(1).standard_normal(x.shape)
         units = {"t": "s", "T": "K", "u": "W"}
-        data = ph.Measurements.from_arrays(
-            t, x, states=["T"], u=u, inputs=["u"], units=units, hold="zero"
-        )
+        data = recorded(truth, t, [5.0], u=u, seed=1, hold="zero", units=units)
         capacity = ph.Parameter(2.0, lower=0, unit="J/K")
         term = ph.formula("u/C", C=capacity)
         model = ph.FirstOrder(["T"], {"T": term}, ["u"], kind="thermal")
@@ -439,9 +435,7 @@ def test_a_factor_that_was_estimated_does_not_make_an_equation_kinematics() -> N
     # dx/dt = s y lacks -x/2. With a known s it would define the velocity y.
     t = np.linspace(0, 6, 61)
     truth = ph.FirstOrder(["x", "y"], {"x": "y - 0.5*x", "y": "-4*x - 0.2*y"})
-    x = ph.simulate(truth, t, [1.0, 0.0])
-    noise = 0.01 * np.random.default_rng(0).normal(size=x.shape)
-    data = ph.Measurements.from_arrays(t, x + noise, states=["x", "y"])
+    data = recorded(truth, t, [1.0, 0.0])
     dx = ph.formula("s*y", s=ph.Parameter(1.0))
     rates = {"x": dx, "y": ph.formula("-4*x - 0.2*y")}
     fit = ph.identify(ph.FirstOrder(["x", "y"], rates), data)
