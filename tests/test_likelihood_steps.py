@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -270,33 +269,3 @@ def test_a_fit_is_the_same_to_the_bit_whatever_was_fitted_before() -> None:
         assert fit.values == warm.values
         np.testing.assert_array_equal(fit.covariance, warm.covariance)
         np.testing.assert_array_equal(fit.states[0], warm.states[0])
-
-
-def test_steps_come_to_no_place_that_is_worse_than_a_previous_one_in_both(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Neither in the objective nor in the violations, at a corner that is sharp."""
-    data = swinging(rubbing(0.01, 0.2, 0.1), seed=3)
-    free = [ph.Parameter(start, lower=0) for start in (0.1, 0.2)]
-    blunt = ph.identify(rubbing(0.2, *free), data)
-    passed: list[list[tuple[float, float]]] = []
-    problem = joint_estimate.JointProblem
-    step, search = problem._lower, problem.optimum
-
-    def noted(self: Any, place: Any, *arguments: Any) -> Any:
-        passed[-1].append((place.objective, place.missed))
-        return step(self, place, *arguments)
-
-    def begun(self: Any, *arguments: Any, **options: Any) -> Any:
-        passed.append([])
-        return search(self, *arguments, **options)
-
-    monkeypatch.setattr(problem, "_lower", noted)
-    monkeypatch.setattr(problem, "optimum", begun)
-    ph.identify(rubbing(0.004, *free), data, start=blunt)
-    longest = max(passed, key=len)
-    assert len(longest) > 5
-    for number, (objective, missed) in enumerate(longest):
-        for before, missed_before in longest[:number]:
-            is_same = (objective, missed) == (before, missed_before)
-            assert is_same or objective < before or missed < missed_before

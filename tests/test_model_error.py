@@ -30,7 +30,7 @@ from phsi_opt.model_error.disturbances import (
     smooth_functions,
 )
 from phsi_opt.model_error.marginal_likelihood import Border
-from phsi_opt.model_error.standard_errors import Clusters, Source, degrees_of_freedom
+from phsi_opt.model_error.standard_errors import Clusters, Source
 from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks import chains
 from tests.systems import Number, pair, positive
@@ -422,33 +422,6 @@ def test_the_jackknife_leaves_out_one_trajectory_at_a_time() -> None:
     np.testing.assert_allclose(step, estimate, rtol=1e-6)
     two = Clusters.of(borders, step)
     np.testing.assert_allclose(two.jackknife(), expected[:2, :2], rtol=1e-6)
-
-
-def of_chi_squares(freedom: np.ndarray, weights: np.ndarray) -> float:
-    """Freedom of a sum of two variances that are estimated from normals."""
-    information = np.diag(2 * freedom)
-
-    def log_variances(x: np.ndarray) -> np.ndarray:
-        return np.array([np.log(weights @ np.exp(2 * x))])
-
-    is_free = np.array([True, True])
-    found = degrees_of_freedom(information, log_variances, is_free)
-    return float(found[0])
-
-
-@pytest.mark.parametrize("weights", [(1.0, 0.0), (1.0, 1.0), (0.2, 1.0)])
-def test_degrees_of_freedom_are_those_of_the_chi_square_that_scatters_alike(
-    weights: tuple[float, float],
-) -> None:
-    freedom = np.array([12.0, 40.0])
-    both = np.array(weights)
-    found = of_chi_squares(freedom, both)
-    closed_form = both.sum() ** 2 / np.sum(both**2 / freedom)
-    assert found == pytest.approx(closed_form, rel=0.02)  # of finite differences
-    rng = np.random.default_rng(8)
-    draws = rng.chisquare(freedom, size=(200_000, 2)) / freedom @ both
-    simulated_freedom = 2 * np.mean(draws) ** 2 / np.var(draws)
-    assert found == pytest.approx(simulated_freedom, rel=0.04)
 
 
 def test_what_is_missing_is_looked_for_without_a_force_that_hides_it() -> None:
