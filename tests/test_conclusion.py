@@ -12,12 +12,12 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.comparison import compare
 from phsi_opt.criteria import DECISIVE_EVIDENCE, THOROUGH_ITERATIONS
-from phsi_opt.diagnosis import conclusion, diagnose, refit
+from phsi_opt.diagnosis import conclusion, refit
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.data_causes import DataCause
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
-from phsi_opt.model.catalogue import EffectChoice, effect_named
+from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.functions import function_named
 from phsi_opt.model.laws import effect_words
 from phsi_opt.screening.effect_size import Size
@@ -602,45 +602,6 @@ def test_without_evidence_the_free_runs_alone_decide() -> None:
         assert (found.verdict, found.ranking) == (verdict, ())
         assert found.reason == f"training error {said}"
         assert (found.record, found.base) == (base.record, base.judged)
-
-
-# ---- from one base to another
-
-
-def diagnosed(
-    monkeypatch: pytest.MonkeyPatch,
-    base: DiagnosedModel,
-    held: DiagnosedModel | None = None,
-) -> tuple[ph.Diagnosis, list[float]]:
-    """The diagnosis, and the errors of the models that were judged, in this order."""
-    judged = []
-
-    def concluded(base: DiagnosedModel, record: Any, *asked: Any) -> ph.Diagnosis:
-        assert record is base.judged and asked == ([DAMPER], False)
-        judged.append(base.judged.rmse)
-        return ph.Diagnosis(base.record, base.judged, (), NAMED, "named")
-
-    monkeypatch.setattr(DiagnosedModel, "of", lambda *_: base)
-    monkeypatch.setattr(DiagnosedModel, "evidence_record", lambda one: one.judged)
-    monkeypatch.setattr(diagnose, "concluded", concluded)
-    monkeypatch.setattr(diagnose, "held_base", lambda *_: held)
-    given: Any = {"loss": None, "progress": lambda _: None, "executor": None}
-    found = diagnose.diagnose_comparison(
-        base.trained, base.judged, choice=EffectChoice([DAMPER]), **given
-    )
-    return found, judged
-
-
-def test_a_diagnosis_begins_again_from_inputs_that_are_held(monkeypatch) -> None:
-    of_held = run(9.0)
-    of_held.record.aligned = SimpleNamespace(notes=["inputs are held"])
-    base, held = fitted(run(10.0)), fitted(of_held)
-    for known, expected, reason in (
-        (None, [10.0], "named"),
-        (held, [10.0, 9.0], "inputs are held; named"),
-    ):
-        found, judged = diagnosed(monkeypatch, base, known)
-        assert (judged, found.reason) == (expected, reason)
 
 
 # ---- other optima of one model

@@ -114,29 +114,32 @@ def decaying(n: int = 500) -> np.ndarray:
     return np.exp(-0.05 * t) * np.cos(1.5 * t)
 
 
-# ---- the step of a quantised sensor ------------------------------------------------------------------------
+# ---- the step of a quantised sensor
+
+TENTHS = rounded_to(0.1, decaying())
+OFFSETS = [TENTHS, TENTHS + np.pi, TENTHS - 0.123]  # of the trajectories
+INCH = 0.0254
+QUANTISED: list[tuple[list[np.ndarray], float]] = [
+    (OFFSETS, 0.1),
+    ([*OFFSETS, decaying()], 0.0),
+    ([TENTHS / INCH], 0.1 / INCH),
+    ([TENTHS[250:], np.r_[np.nan, TENTHS[:250]]], 0.1),  # in another order
+    ([np.round(decaying(), 2)], 0.01),
+]
+for step in 2.0 / np.array([2, 8, 30, 300, 3000]):
+    for offset in (0.0, 273.15, -1.7):
+        QUANTISED.append(([offset + rounded_to(step, decaying())], step))
 
 
-@pytest.mark.parametrize("n_levels", [2, 8, 30, 300, 3000])
-@pytest.mark.parametrize("offset", [0.0, 273.15, -1.7])
-def test_the_step_is_found_whatever_the_offset(n_levels: int, offset: float) -> None:
-    step = 2.0 / n_levels
-    values = offset + rounded_to(step, decaying())
-    assert resolution([values]) == pytest.approx(step, rel=1e-6)
-
-
-def test_trajectories_may_have_offsets_of_their_own() -> None:
-    values = rounded_to(0.1, decaying())
-    runs = [values, values + np.pi, values - 0.123]
-    assert resolution(runs) == pytest.approx(0.1, rel=1e-6)
-    assert resolution([*runs, decaying()]) == 0.0
+@pytest.mark.parametrize(("runs", "step"), QUANTISED)
+def test_the_step_is_found_whatever_offset_unit_and_order(runs, step) -> None:
+    assert resolution(runs) == pytest.approx(step, rel=1e-6)
 
 
 def test_printed_digits_do_not_hide_the_step_of_the_converter() -> None:
     values = np.round(rounded_to(0.0322265625, 30 * decaying(2000)), 2)
     # A thousand steps, each printed to a sixth of a step at most.
     assert resolution([values]) == pytest.approx(0.0322265625, rel=1e-3)
-    assert resolution([np.round(decaying(), 2)]) == pytest.approx(0.01, rel=1e-6)
 
 
 CONTINUOUS: dict[str, Callable[[], np.ndarray]] = {
@@ -168,14 +171,6 @@ def test_few_values_that_lie_evenly_by_chance_have_no_step() -> None:
     assert lattice_step(values, 0.05) == 0.0
     assert lattice_step(values[:2], 0.05) == 1.0
     assert lattice_step(np.arange(9.0), 0.05) == pytest.approx(1.0)
-
-
-def test_the_step_scales_with_the_unit_and_does_not_ask_for_the_order() -> None:
-    values = rounded_to(0.1, decaying())
-    inches = values / 0.0254
-    assert resolution([inches]) == pytest.approx(0.1 / 0.0254, rel=1e-6)
-    halves = [values[250:], np.r_[np.nan, values[:250]]]
-    assert resolution(halves) == resolution([values])
 
 
 # ---- the noise that it makes ---------------------------------------------------------
