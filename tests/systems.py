@@ -25,8 +25,8 @@ def pair(
     H: Part,
     R: Part = None,
     F: Part = None,
-    inputs: Sequence[str] | None = None,
-    sensor: Mapping[str, Any] | None = None,
+    inputs: Any = None,
+    sensor: Any = None,
     **parameters: Number,
 ) -> ph.PseudoHamiltonian:
     """A canonical pair (q, p) whose loss R and force F act on the momentum.
@@ -68,8 +68,8 @@ def spring(
 ) -> ph.PseudoHamiltonian:
     """A mass, one unless given, on a spring with a damper, R_p unless it is given."""
     energy = "k*q**2/2 + " + ("p**2/2" if m is None else "p**2/(2*m)")
-    known = {"k": k, "c": c, "m": m}
-    known = {name: value for name, value in known.items() if value is not None}
+    given: dict[str, Any] = {"k": k, "c": c, "m": m}
+    known = {name: value for name, value in given.items() if value is not None}
     return pair(energy, ph.damping("p") if c is None else "c", F, **known, **slots)
 
 
