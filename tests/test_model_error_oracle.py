@@ -28,7 +28,7 @@ from phsi_opt.model_error.disturbances import (
     StateFunction,
 )
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
+from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.model_error.standard_errors import covariance_under
 from phsi_opt.optimization.bounded_step import REGULAR
 from phsi_opt.transcription.grid import AlignedData
@@ -502,6 +502,28 @@ def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     brief = ascent.climbed(likelihood, coordinates, 25, least_gain=0.2)
     assert found.log_evidence - 0.4 < brief.log_evidence
     assert brief.log_evidence <= found.log_evidence
+
+
+def test_a_function_gains_what_the_evidence_rises_by() -> None:
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(30, 10))
+    data = rng.normal(size=30) + root @ rng.normal(size=10)
+    normal, gradient = root.T @ root, root.T @ data
+    owner = np.repeat([0, 1], 4)
+    tried = np.array([0.3, 2.0])
+    for number, others in ((0, 0.7), (1, 0.7), (1, 0.0)):
+        sizes = np.full(2, others)
+        border = Border(
+            normal, gradient, float(data @ data), 0.0, 2, owner, sizes, np.zeros(2)
+        )
+        evidences = []
+        for size in (1e-4, *tried):
+            sizes = np.full(2, max(others, 1e-4))
+            sizes[number] = size
+            evidences.append(replace(border, sizes=sizes).log_evidence)
+        expected = np.array(evidences[1:]) - evidences[0]
+        gains = border.gains_by_function(number, tried)
+        np.testing.assert_allclose(gains, expected, atol=1e-4)
 
 
 # --- The Kalman filter of statsmodels, of the continuous system
