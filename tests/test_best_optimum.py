@@ -6,6 +6,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.comparison.compare import flat_sentence
 from phsi_opt.presentation.content import GOOD
+from tests.systems import Number, pair, positive, recorded, spring
 
 PER_PERIOD = 20
 CORRELATION_TIME = 1.0
@@ -22,15 +23,6 @@ def random_force(t: np.ndarray, size: float) -> np.ndarray:
     return force
 
 
-def oscillator(k: ph.Parameter | float, c: ph.Parameter | float) -> ph.Model:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=k),
-        R={"p": ph.formula("c", c=c)},
-    )
-
-
 def positions(n_periods: int, force_size: float = 0.2) -> ph.Measurements:
     """An oscillator with k = 1, c = 0.01 and a random force that no model knows of."""
     t = 2 * np.pi / PER_PERIOD * np.arange(n_periods * PER_PERIOD)
@@ -39,14 +31,14 @@ def positions(n_periods: int, force_size: float = 0.2) -> ph.Measurements:
     def force(time: float, x: np.ndarray) -> np.ndarray:
         return np.array([0.0, np.interp(time, t, push)])
 
-    x = ph.simulate(oscillator(1.0, 0.01), t, [1.0, 0.0], force=force)
+    x = ph.simulate(spring(1.0, 0.01), t, [1.0, 0.0], force=force)
     y = x + 0.02 * x.std(axis=0) * np.random.default_rng(1).normal(size=x.shape)
     y[:, 1] = np.nan
     return ph.Measurements.from_arrays(t, y, states=["q", "p"])
 
 
 def from_start(k: float) -> ph.Model:
-    return oscillator(ph.Parameter(k, lower=0), ph.Parameter(0.1, lower=0))
+    return spring(positive(k), positive(0.1))
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +68,7 @@ def test_a_start_sixty_percent_off_leads_to_the_optimum_that_the_truth_leads_to(
 @pytest.fixture(scope="module")
 def flat_fit(swinging: ph.Measurements) -> ph.Fit:
     """A spring of a quarter of the true stiffness: no motion costs least."""
-    return ph.identify(oscillator(0.25, ph.Parameter(0.1, lower=0)), swinging)
+    return ph.identify(spring(0.25, positive(0.1)), swinging)
 
 
 def test_a_comparison_names_the_state_whose_free_run_is_flat(
@@ -121,19 +113,10 @@ def test_a_diagnosis_of_a_flat_run_says_so_before_anything_else(
 
 @pytest.mark.parametrize("gravity", [0.1, 0.55, 10.8, 200.0])
 def test_a_pendulum_is_found_from_starts_that_are_far_off(gravity: float) -> None:
-    def pendulum(G: ph.Parameter | float, c: ph.Parameter | float) -> ph.Model:
-        return ph.PseudoHamiltonian(
-            states=["q", "p"],
-            S=ph.canonical(1),
-            H=ph.formula("p**2/2 - G*cos(q)", G=G),
-            R={"p": ph.formula("c", c=c)},
-        )
+    def pendulum(G: Number, c: Number) -> ph.Model:
+        return pair("p**2/2 - G*cos(q)", "c", G=G, c=c)
 
     t = np.arange(0, 40, 0.1)
-    x = ph.simulate(pendulum(9.0, 0.05), t, [1.0, 0.0])
-    y = x + 0.01 * np.random.default_rng(3).normal(size=x.shape)
-    y[:, 1] = np.nan
-    data = ph.Measurements.from_arrays(t, y, states=["q", "p"])
-    start = [ph.Parameter(one, lower=0) for one in (gravity, 0.1)]
-    fit = ph.identify(pendulum(*start), data)
+    data = recorded(pendulum(9.0, 0.05), t, [1.0, 0.0], seed=3, shown="q")
+    fit = ph.identify(pendulum(positive(gravity), positive(0.1)), data)
     assert fit.values["G"] == pytest.approx(9.0, abs=4 * fit.std_errors["G"])

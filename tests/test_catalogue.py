@@ -18,15 +18,14 @@ from phsi_opt.model.catalogue import (
 )
 from phsi_opt.model.kinds import KINDS
 from phsi_opt.model.laws import is_second_storage, law_of, laws_told
+from tests.systems import pair
 
 ROOT = Path(__file__).resolve().parents[1]
 EVERY_KIND: tuple[Any, ...] = ({}, *KINDS)
 
 
 def driven_spring(H: str = "p**2/2") -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H=H, F={"p": "u"}
-    )
+    return pair(H, F="u")
 
 
 def two_tanks() -> ph.PseudoHamiltonian:
@@ -290,13 +289,7 @@ def heated() -> ph.FirstOrder:
 
 def test_a_spring_without_an_energy_is_offered_what_one_with_it_is() -> None:
     k = {"k": ph.Parameter(3.0, lower=0)}
-    energy = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**4 + p**2/2", **k),
-        F={"p": "u"},
-    )
+    energy = pair("k*q**4 + p**2/2", F="u", **k)
     rates = {"q": ph.formula("p"), "p": ph.formula("u - 4*k*q**3", **k)}
     plain = ph.FirstOrder(["q", "p"], rates, inputs=["u"])
     offered = {str(effect): effect for effect in ph.catalogue(plain)}
@@ -339,7 +332,7 @@ def test_radiation_counts_from_the_zero_of_the_scale(unit: str, zero: float) -> 
 def test_gravity_turns_with_the_angle_in_its_unit(unit, half_turn, has_energy) -> None:
     model: ph.Model = ph.FirstOrder(["q", "p"], {"q": "p", "p": "0"})
     if has_energy:
-        model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H="p**2/2")
+        model = pair("p**2/2")
     (effect,) = [
         e for e in ph.catalogue(model, {"q": unit}) if e.name == "gravity torque"
     ]

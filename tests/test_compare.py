@@ -11,19 +11,19 @@ from scipy import stats
 
 import phsi_opt as ph
 from phsi_opt.comparison.compare import flat_sentence, is_flat
+from phsi_opt.estimation import record
 from phsi_opt.presentation.units import Scale, Unit
 from phsi_opt.statistics import ljung_box
-from tests.machines import driven_spring
+from tests.systems import STARTS, recorded, spring
 
 T = np.linspace(2.0, 8.0, 61)
 U = np.sin(1.1 * T)
-STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
 OFFSETS = (0.1, -0.2, 0.3)  # of the position, m
 NOISE = {"q": 0.01, "p": 0.03}
 UNITS = {"t": "s", "q": "m", "p": "kg m/s"}
 
 
-KNOWN = driven_spring(2.0, 0.3)
+KNOWN = spring(2.0, 0.3, F="u")
 
 
 @cache
@@ -134,7 +134,7 @@ def test_the_energy_balance_is_that_of_spring_damper_and_input() -> None:
 @cache
 def fitted() -> ph.Fit:
     """Stiffness and damping of two runs, each with an offset of its own."""
-    model = driven_spring(ph.Parameter(1.5, lower=0), ph.Parameter(0.2, lower=0))
+    model = spring(ph.Parameter(1.5, lower=0), ph.Parameter(0.2, lower=0), F="u")
     offset = ph.formula("b", b=ph.Parameter(0.0, per_trajectory=True))
     return ph.identify(replace(model, sensor={"q": offset}), measured(True)[:2])
 
@@ -195,12 +195,10 @@ def test_it_is_told_what_to_do_where_a_run_is_flat() -> None:
 def test_a_prediction_for_new_inputs_is_as_uncertain_as_its_parameters() -> None:
     t = np.linspace(0, 4, 200)
     u = np.ones((200, 1))
-    rng = np.random.default_rng(5)
     law = ph.FirstOrder(
         ["x"], {"x": ph.formula("(b*u - x)/tau", b=2.0, tau=0.8)}, ["u"]
     )
-    x = ph.simulate(law, t, [0.0], u) + rng.normal(0, 0.05, (200, 1))
-    data = ph.Measurements.from_arrays(t, x, u, states=["x"], inputs=["u"])
+    data = recorded(law, t, [0.0], u=u, noise=0.05, seed=5)
     free: Any = {"b": ph.Parameter(1.0), "tau": ph.Parameter(1.0, lower=0)}
     model = ph.FirstOrder(["x"], {"x": ph.formula("(b*u - x)/tau", **free)}, ["u"])
     fit = ph.identify(model, data)
@@ -236,3 +234,24 @@ def test_a_prediction_by_the_means_of_the_runs_is_as_uncertain_as_these() -> Non
         std = fit.predict(t, [0.0], trajectory=trajectory).std[:, 0]
         expected = slope * np.sqrt(share @ fit.covariance @ share)
         np.testing.assert_allclose(std, expected, rtol=1e-3, atol=1e-9)
+
+
+def test_a_start_is_found_where_the_likelihood_finds_none(monkeypatch) -> None:
+    """States of the missing force follow the data, and begin where no run fits best."""
+    t = 0.05 * np.arange(160)
+    pushed = ph.mechanical(["q"], mass=2.0, forces="u - k*q - c*v", k=9.0, c=0.4)
+    stiffening = pushed.add("cubic stiffness", "p")
+    truth = stiffening.with_values({"cubic_stiffness_q": 6.0})
+    rng = np.random.default_rng(17)
+    u = 3 * np.sin(np.outer(t, (0.9, 2.3)) + rng.uniform(0, 6, 2)).sum(axis=1)
+    x = ph.simulate(truth, t, [1.2, -1.0], u[:, None])
+    x[:, 0] += 0.01 * rng.normal(size=160)
+    x[:, 1] = np.nan
+    data = ph.Measurements.from_arrays(t, x, u, states=["q", "p"], inputs=["u"])
+    fit = ph.identify(pushed, data)
+    other = ph.Measurements.from_arrays(
+        t + 1.0, x, u, states=["q", "p"], inputs=["u"], names=["other"]
+    )
+    best = ph.compare(fit, other).rmse
+    monkeypatch.setattr(record, "_most_likely_states", lambda *_: None)
+    assert ph.compare(fit, other).rmse == pytest.approx(best, rel=1e-3)

@@ -12,16 +12,16 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.comparison import compare
 from phsi_opt.criteria import THOROUGH_ITERATIONS
-from phsi_opt.diagnosis import conclusion, diagnose, refit
+from phsi_opt.diagnosis import conclusion, refit
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.data_causes import DataCause
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
-from phsi_opt.model.catalogue import EffectChoice, effect_named
+from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.functions import function_named
 from phsi_opt.model.laws import effect_words
 from phsi_opt.screening.effect_size import Size
-from tests.machines import damped_spring
+from tests.systems import damped_spring
 
 MODEL = damped_spring()
 DAMPER = effect_named(MODEL, "viscous damping", "p")
@@ -100,37 +100,35 @@ class Case:
     functions: list[Candidate] = field(default_factory=list)  # unknown ones
     are_candidates: bool = True
 
-    def concluded(self, monkeypatch: pytest.MonkeyPatch) -> ph.Diagnosis:
-        record = SimpleNamespace(
-            base=SimpleNamespace(
-                log_evidence=0.0,
-                disturbances=SimpleNamespace(forces=[SimpleNamespace(place=1)]),
-            ),
-            fitted=self.fitted,
+    def concluded(self) -> ph.Diagnosis:
+        base = SimpleNamespace(
+            log_evidence=0.0,
+            disturbances=SimpleNamespace(forces=[SimpleNamespace(place=1)]),
         )
+        record: Any = SimpleNamespace(base=base, fitted=self.fitted)
         ranking = SimpleNamespace(
-            record=record, candidates=list(self.candidates), screened={}
-        )
-        for one in self.functions:
-            ranking.screened[one.name] = None
-        monkeypatch.setattr(conclusion, "ranked", lambda *_: ranking)
-        monkeypatch.setattr(
-            conclusion, "rank_again", lambda *_: ranking.candidates.extend(self.again)
+            record=record,
+            candidates=list(self.candidates),
+            screened=dict.fromkeys(one.name for one in self.functions),
         )
         ranking.join = lambda further: ranking.candidates.extend(further.candidates)
         further = SimpleNamespace(candidates=self.functions)
-        monkeypatch.setattr(conclusion, "ranked_functions", lambda *_: further)
-        monkeypatch.setattr(conclusion, "Search", lambda *_: self.search())
-        monkeypatch.setattr(conclusion, "refit", self.refit)
-        monkeypatch.setattr(
-            conclusion, "thorough_refit", lambda larger: self.thorough or larger
-        )
-        monkeypatch.setattr(conclusion, "fitted_size", self.size)
+        replaced: dict[str, Any] = {
+            "ranked": lambda *_: ranking,
+            "rank_again": lambda *_: ranking.candidates.extend(self.again),
+            "ranked_functions": lambda *_: further,
+            "Search": lambda *_: self.search(),
+            "refit": self.refit,
+            "thorough_refit": lambda larger: self.thorough or larger,
+            "fitted_size": self.size,
+        }
         effects = [DAMPER, FRICTION, PUSH, SPRING, WAVE, OFFSET]
-        evidence: Any = record
-        return conclusion.concluded(
-            self.base, evidence, effects, functions=self.are_candidates
-        )
+        with pytest.MonkeyPatch.context() as patched:
+            for name, instead in replaced.items():
+                patched.setattr(conclusion, name, instead)
+            return conclusion.concluded(
+                self.base, record, effects, functions=self.are_candidates
+            )
 
     def refit(self, base: DiagnosedModel, one: Candidate) -> DiagnosedModel | None:
         return self.larger.get(one.name, fitted(run(1.05, p=0.5)))
@@ -185,6 +183,12 @@ def test_a_run_fails_that_is_a_tenth_beyond_the_noise() -> None:
     assert [compare.is_failing(run(rmse)) for rmse in (1.09, 1.11)] == [False, True]
 
 
+def test_the_share_explained_is_of_the_square_above_the_floor() -> None:
+    assert compare.explained_share(run(5), run(4)) == pytest.approx(9 / 24)
+    assert compare.explained_share(run(5), run(1)) == pytest.approx(1.0)
+    assert compare.explained_share(run(1), run(2)) < -1e6
+
+
 def test_what_was_missing_is_explained_where_noise_or_next_to_nothing_is_left() -> None:
     def explains(trained: Any, judged: Any, base: Any) -> bool:
         return compare.is_explained(base, trained, judged)
@@ -208,9 +212,9 @@ def test_what_was_missing_is_explained_where_noise_or_next_to_nothing_is_left() 
 # ---- named
 
 
-def test_a_decisive_effect_that_leaves_noise_is_named(monkeypatch) -> None:
+def test_a_decisive_effect_that_leaves_noise_is_named() -> None:
     others = [candidate(PUSH, 5.0), candidate(SPRING, 3.5), candidate(OFFSET, -1.0)]
-    found = Case([candidate(DAMPER, 20.0), *others]).concluded(monkeypatch)
+    found = Case([candidate(DAMPER, 20.0), *others]).concluded()
     assert (found.verdict, found.proposed) == (NAMED, (DAMPER,))
     assert found.reason == (
         "viscous damping in the equation of p (2.10 +- 0.20 N); the training error falls from 10.0 to "
@@ -227,11 +231,11 @@ def test_a_decisive_effect_that_leaves_noise_is_named(monkeypatch) -> None:
     assert list(lost(found).values()) == ["", likelier, likelier, likelier]
 
 
-def test_the_errors_on_the_data_held_out_judge(monkeypatch) -> None:
+def test_the_errors_on_the_data_held_out_judge() -> None:
     base = fitted(run(10.0), run(20.0))
     larger = {str(DAMPER): fitted(run(1.0, p=0.5), run(2.0))}
     case = Case([candidate(DAMPER, 20.0)], base, larger)
-    found = case.concluded(monkeypatch)
+    found = case.concluded()
     assert "the held-out error falls from 20.0 to 2.00 m" in found.reason
     first = found.ranking[0]
     assert (first.train_rmse, first.held_out_rmse) == (1.0, 2.0)
@@ -239,12 +243,10 @@ def test_the_errors_on_the_data_held_out_judge(monkeypatch) -> None:
     assert first.share == found.findings[0].share == pytest.approx(396 / 399)
 
 
-def test_of_those_that_evidence_does_not_tell_apart_the_simplest_is_first(
-    monkeypatch,
-) -> None:
+def test_of_those_that_evidence_does_not_tell_apart_the_simplest_is_first() -> None:
     # Each is strong, both together are decisive. Friction has a speed besides.
     tied = [candidate(FRICTION, 4.4), candidate(DAMPER, 3.2), candidate(SPRING, 1.3)]
-    found = Case(tied).concluded(monkeypatch)
+    found = Case(tied).concluded()
     assert found.proposed == (DAMPER,)
     assert [one.effects for one in found.findings] == [(DAMPER, FRICTION)]
     assert lost(found) == {
@@ -254,12 +256,12 @@ def test_of_those_that_evidence_does_not_tell_apart_the_simplest_is_first(
     }
     # Of equal ones it is the one that the catalogue has first.
     alike = [candidate(PUSH, 9.0), candidate(DAMPER, 9.0)]
-    assert Case(alike).concluded(monkeypatch).proposed == (DAMPER,)
+    assert Case(alike).concluded().proposed == (DAMPER,)
     # Alone it is not decisive.
-    assert not Case(tied[:1]).concluded(monkeypatch).findings
+    assert not Case(tied[:1]).concluded().findings
 
 
-def test_an_effect_whose_re_fit_fails_gives_way_to_the_next(monkeypatch) -> None:
+def test_an_effect_whose_re_fit_fails_gives_way_to_the_next() -> None:
     at_bound = run(1.05, p=0.5)
     at_bound.fit.names = ("viscous_damping_p",)
     at_bound.fit.model = MODEL.add(DAMPER)
@@ -272,7 +274,7 @@ def test_an_effect_whose_re_fit_fails_gives_way_to_the_next(monkeypatch) -> None
     ]
     small = {str(PUSH): 1.1}  # whatever its size was beside a force
     larger = {str(DAMPER): fitted(at_bound), str(SPRING): None}
-    found = Case(tied, larger=larger, std_errors=small).concluded(monkeypatch)
+    found = Case(tied, larger=larger, std_errors=small).concluded()
     assert [one.effects for one in found.findings] == [(OFFSET,)]
     assert lost(found) == {
         "sensor offset on q": "",
@@ -282,9 +284,9 @@ def test_an_effect_whose_re_fit_fails_gives_way_to_the_next(monkeypatch) -> None
         ),
         "cubic stiffness on p": "the fit failed",
     }
-    kept = Case(tied[:1], std_errors={str(PUSH): 1.05}).concluded(monkeypatch)
+    kept = Case(tied[:1], std_errors={str(PUSH): 1.05}).concluded()
     assert kept.verdict == NAMED
-    open_ = Case(tied[:1], std_errors={str(PUSH): np.nan}).concluded(monkeypatch)
+    open_ = Case(tied[:1], std_errors={str(PUSH): np.nan}).concluded()
     assert lost(open_) == {
         "constant force on p": "the data do not determine its size",
     }
@@ -293,17 +295,17 @@ def test_an_effect_whose_re_fit_fails_gives_way_to_the_next(monkeypatch) -> None
 # ---- named, but not alone
 
 
-def test_an_effect_beside_which_a_force_is_evident_is_partly_named(monkeypatch) -> None:
+def test_an_effect_beside_which_a_force_is_evident_is_partly_named() -> None:
     larger = {str(DAMPER): fitted(run(6.0))}
     for force_left, is_enough in ((0.7, True), (0.72, False)):
         one = candidate(DAMPER, 20.0, force_left=force_left)
         for alone, is_evident in ((20.0 - 4.7, True), (20.0 - 4.5, False)):
             case = Case([one], larger=larger, alone=alone)
-            found = case.concluded(monkeypatch)
+            found = case.concluded()
             assert (found.verdict == NAMED) == (not is_evident)
             assert bool(found.findings)  # it explains 65 % of the error
         case = replace(case, larger={str(DAMPER): fitted(run(9.0))}, alone=None)
-        found = case.concluded(monkeypatch)
+        found = case.concluded()
         assert bool(found.findings) == is_enough
     assert found.verdict == UNEXPLAINED and found.proposed == ()
     assert found.reason == (
@@ -312,7 +314,7 @@ def test_an_effect_beside_which_a_force_is_evident_is_partly_named(monkeypatch) 
         "it explains only 48 % of what is missing (mean square) and 19 % of the error"
     )
     partly = Case([replace(one, force_left=0.6)], larger=larger, alone=None)
-    found = partly.concluded(monkeypatch)
+    found = partly.concluded()
     assert found.verdict == PARTLY_NAMED
     assert found.reason.endswith(
         "decisive evidence (log evidence 20.0). It accounts for 64 % of what is missing "
@@ -321,17 +323,17 @@ def test_an_effect_beside_which_a_force_is_evident_is_partly_named(monkeypatch) 
     )
 
 
-def test_effects_are_named_that_explain_enough_together_alone(monkeypatch) -> None:
+def test_effects_are_named_that_explain_enough_together_alone() -> None:
     larger = {
         str(DAMPER): fitted(run(9.5)),
-        f"{DAMPER} and {SPRING}": fitted(run(1.05, p=0.5)),
+        both_name(): fitted(run(1.05, p=0.5)),
     }
     first = candidate(DAMPER, 20.0, force_left=0.9)
     ranking = [first, candidate(SPRING, 6.0), candidate(PUSH, 1.0)]
     both = ((DAMPER, SPRING), 29.0, (23.0, 25.0))
     case = Case(ranking, larger=larger, several=[both], alone=None)
     case = replace(case, alike={str(DAMPER): [FRICTION]})
-    found = case.concluded(monkeypatch)
+    found = case.concluded()
     # In the order of the search's path, with what the data do not tell from each.
     assert (found.verdict, found.proposed) == (NAMED, (SPRING, DAMPER))
     assert [one.effects for one in found.findings] == [(SPRING,), (DAMPER, FRICTION)]
@@ -347,13 +349,13 @@ def test_effects_are_named_that_explain_enough_together_alone(monkeypatch) -> No
     # Each must be decisive beside the other, and both decisively likelier than one.
     for evidence, worth in ((29.0, (23.0, 4.5)), (24.5, (23.0, 25.0))):
         case = replace(case, several=[((DAMPER, SPRING), evidence, worth)])
-        assert case.concluded(monkeypatch).findings == ()
+        assert case.concluded().findings == ()
     said: list[str] = []
     base = replace(case.base, say=said.append)
     case = replace(
         case, several=[both], base=base, larger={**larger, both_name(): None}
     )
-    assert case.concluded(monkeypatch).findings == ()
+    assert case.concluded().findings == ()
     assert said == [
         f"{told(DAMPER)} and {told(SPRING)} together were skipped: the fit failed"
     ]
@@ -363,78 +365,74 @@ def both_name() -> str:
     return f"{DAMPER} and {SPRING}"
 
 
-def test_what_effects_take_over_of_a_force(monkeypatch) -> None:
+def test_what_effects_take_over_of_a_force() -> None:
     larger = {str(DAMPER): fitted(run(9.5)), both_name(): fitted(run(7.0))}
     ranking = [candidate(DAMPER, 20.0, force_left=0.8), candidate(SPRING, 1.0)]
     both = ((DAMPER, SPRING), 29.0, (23.0, 25.0))
     case = Case(ranking, larger=larger, several=[both], force_left=0.6, alone=None)
-    found = case.concluded(monkeypatch)
+    found = case.concluded()
     assert found.verdict == PARTLY_NAMED
     assert "It accounts for 64 % of what is missing" in found.reason
 
 
-def test_an_effect_that_is_decisive_from_its_own_fit_alone_is_found(
-    monkeypatch,
-) -> None:
+def test_an_effect_that_is_decisive_from_its_own_fit_alone_is_found() -> None:
     case = Case([candidate(DAMPER, 1.0)], again=[candidate(SPRING, 9.0)])
-    assert case.concluded(monkeypatch).proposed == (SPRING,)
+    assert case.concluded().proposed == (SPRING,)
     # Where nothing is missing nobody asks.
     noise = fitted(run(1.0, p=0.5))
-    assert replace(case, base=noise).concluded(monkeypatch).verdict == NOTHING
+    assert replace(case, base=noise).concluded().verdict == NOTHING
 
 
-def test_an_effect_that_removes_next_to_nothing_is_no_finding(monkeypatch) -> None:
+def test_an_effect_that_removes_next_to_nothing_is_no_finding() -> None:
     # Of the error of 10 m above the noise it leaves 9.75, or 9.7.
     for error, is_named in ((9.755, False), (9.74, True)):
         larger = {str(DAMPER): fitted(run(error))}
         case = Case([candidate(DAMPER, 20.0)], larger=larger, alone=20.0)
-        assert bool(case.concluded(monkeypatch).findings) == is_named
+        assert bool(case.concluded().findings) == is_named
 
 
 # ---- not named
 
 
-def test_a_larger_error_of_either_free_run_is_a_doubt(monkeypatch) -> None:
+def test_a_larger_error_of_either_free_run_is_a_doubt() -> None:
     base = fitted(run(10.0), run(10.0))
     for errors in ((10.1, 1.0), (1.0, 10.1)):
         larger = {str(DAMPER): fitted(*(run(error) for error in errors))}
         case = Case([candidate(DAMPER, 20.0)], base, larger)
-        found = case.concluded(monkeypatch)
+        found = case.concluded()
         assert (found.verdict, found.findings) == (UNEXPLAINED, ())
         assert (
             lost(found)[str(DAMPER)] == "its free-run error is larger than without it"
         )
     assert "the held-out error rises from 10.0 to 10.1 m" in found.reason
     larger = {str(DAMPER): fitted(run(10.0), run(10.001))}
-    found = Case([candidate(DAMPER, 20.0)], base, larger).concluded(monkeypatch)
+    found = Case([candidate(DAMPER, 20.0)], base, larger).concluded()
     assert "the held-out error does not change (10.0 m), noise" in found.reason
     # Within the noise an error may be larger.
     base = fitted(run(10.0), run(1.0))
     larger = {str(DAMPER): fitted(run(1.05, p=0.5), run(1.09))}
-    assert Case([candidate(DAMPER, 20.0)], base, larger).concluded(monkeypatch).findings
+    assert Case([candidate(DAMPER, 20.0)], base, larger).concluded().findings
 
 
-def test_what_is_as_likely_as_what_is_not_named_is_not_only_decisive(
-    monkeypatch,
-) -> None:
+def test_what_is_as_likely_as_what_is_not_named_is_not_only_decisive() -> None:
     larger = {str(DAMPER): fitted(run(10.1))}
     ranking = [candidate(FRICTION, 21.0), candidate(DAMPER, 20.0)]
-    found = Case(ranking, larger=larger).concluded(monkeypatch)
+    found = Case(ranking, larger=larger).concluded()
     assert (found.verdict, found.findings) == (UNEXPLAINED, ())
     assert lost(found)[str(FRICTION)] == (
         f"the data cannot distinguish it from {told(DAMPER)}"
     )
 
 
-def test_what_a_study_would_add_is_judged_and_not_the_brief_re_fit(monkeypatch) -> None:
+def test_what_a_study_would_add_is_judged_and_not_the_brief_re_fit() -> None:
     worse = "its free-run error is larger than without it"
     base = fitted(run(10.0), run(10.0))
     later = fitted(run(1.0), run(10.1))
     case = Case([candidate(DAMPER, 20.0)], base, thorough=later)
-    assert lost(case.concluded(monkeypatch))[str(DAMPER)] == worse
+    assert lost(case.concluded())[str(DAMPER)] == worse
 
 
-def test_effects_with_a_larger_error_are_not_named(monkeypatch) -> None:
+def test_effects_with_a_larger_error_are_not_named() -> None:
     # Even where no force is evident beside them.
     base = fitted(run(10.0), run(10.0))
     ranking = [candidate(DAMPER, 20.0, force_left=0.9), candidate(SPRING, 6.0)]
@@ -445,43 +443,41 @@ def test_effects_with_a_larger_error_are_not_named(monkeypatch) -> None:
             both_name(): fitted(run(2.0), run(error)),
         }
         case = Case(ranking, base, larger, several=[both], alone=10.0)
-        assert bool(case.concluded(monkeypatch).findings) == are_named
+        assert bool(case.concluded().findings) == are_named
 
 
-def test_several_that_leave_a_force_are_named_where_one_is_not(
-    monkeypatch,
-) -> None:
+def test_several_that_leave_a_force_are_named_where_one_is_not() -> None:
     both = ((DAMPER, SPRING), 40.0, (15.0, 18.0))
     for force_left, names in ((0.5, [DAMPER]), (0.9, [SPRING, DAMPER])):
         ranking = [candidate(DAMPER, 20.0, force_left=force_left)]
         ranking.append(candidate(SPRING, 6.0))
         larger = {str(DAMPER): fitted(run(9.5)), both_name(): fitted(run(2.0))}
         case = Case(ranking, larger=larger, several=[both], alone=None)
-        found = case.concluded(monkeypatch)
+        found = case.concluded()
         assert [one.effects[0] for one in found.findings] == names
 
 
-def test_a_wave_that_leaves_more_is_not_named_alone(monkeypatch) -> None:
+def test_a_wave_that_leaves_more_is_not_named_alone() -> None:
     larger = {str(WAVE): fitted(run(2.0)), f"{DAMPER} and {WAVE}": fitted(run(2.0))}
     wave = Case([candidate(WAVE, 20.0)], larger=larger, alone=None)
-    found = wave.concluded(monkeypatch)
+    found = wave.concluded()
     doubt = "more is missing, and every function contains such waves"
     assert found.verdict == UNEXPLAINED and lost(found)[str(WAVE)] == doubt
-    assert replace(wave, alone=19.0).concluded(monkeypatch).verdict == NAMED
+    assert replace(wave, alone=19.0).concluded().verdict == NAMED
     # As one of several it is at least as likely as any function.
     larger[str(DAMPER)] = fitted(run(9.5))
     ranking = [candidate(DAMPER, 20.0, force_left=0.9), candidate(WAVE, 1.0)]
     both = ((DAMPER, WAVE), 29.0, (23.0, 25.0))
     case = Case(ranking, larger=larger, several=[both], alone=None)
-    assert len(case.concluded(monkeypatch).findings) == 2
+    assert len(case.concluded().findings) == 2
     bells = "unknown force f(q) of 6 bells from -1 to 1"
     function = function_named(MODEL, bells, "p")
     assert function is not None
     case = replace(case, functions=[candidate(function, 29.1)])
-    assert case.concluded(monkeypatch).findings == ()
+    assert case.concluded().findings == ()
 
 
-def test_an_unknown_function_is_asked_where_a_force_remains(monkeypatch) -> None:
+def test_an_unknown_function_is_asked_where_a_force_remains() -> None:
     bells = "unknown loss r(q) of 6 bells from -1 to 1"
     function = function_named(MODEL, bells, "p")
     assert function is not None
@@ -491,41 +487,41 @@ def test_an_unknown_function_is_asked_where_a_force_remains(monkeypatch) -> None
         functions=[candidate(function, 40.1)],
         alone=None,
     )
-    found = case.concluded(monkeypatch)
+    found = case.concluded()
     assert found.verdict == NAMED
     assert found.findings[0].effects == (function,)
     # What a few laws explain as well is theirs.
     both = ((DAMPER, FRICTION), 50.0, (23.0, 25.0))
-    found = replace(case, several=[both]).concluded(monkeypatch)
+    found = replace(case, several=[both]).concluded()
     assert [one.effects for one in found.findings] == [(FRICTION,), (DAMPER,)]
     # Where none may be named, it is a doubt.
     given = replace(case, are_candidates=False)
-    found = given.concluded(monkeypatch)
+    found = given.concluded()
     assert lost(found)[str(DAMPER)] == (
         f"{told(function)} is more likely (log evidence 40.1 against 20.0)"
     )
     less = replace(given, functions=[candidate(function, 40.0)])
-    assert less.concluded(monkeypatch).verdict == PARTLY_NAMED
+    assert less.concluded().verdict == PARTLY_NAMED
     # Not where an effect leaves none.
-    found = replace(case, larger={}).concluded(monkeypatch)
+    found = replace(case, larger={}).concluded()
     assert found.findings[0].effects == (DAMPER,)
 
 
-def test_steps_coarser_than_the_motion_may_be_the_cause(monkeypatch) -> None:
+def test_steps_coarser_than_the_motion_may_be_the_cause() -> None:
     coarse = run(10.0)
     coarse.record.data = positions(np.repeat([1.0, 2.0], 20))
     base = fitted(coarse)
     steps = "the quantisation of q, whose standard deviation is less than one step"
-    found = Case([candidate(DAMPER, 20.0)], base).concluded(monkeypatch)
+    found = Case([candidate(DAMPER, 20.0)], base).concluded()
     assert lost(found)[str(DAMPER)] == f"the cause may also be {steps}"
-    found = Case([candidate(DAMPER, 1.0)], base).concluded(monkeypatch)
+    found = Case([candidate(DAMPER, 1.0)], base).concluded()
     assert f"; it may be {steps}; " in found.reason
     # Not where the free run with the effect is off by more.
     larger = {str(DAMPER): fitted(run(1.3))}
-    assert Case([candidate(DAMPER, 20.0)], base, larger).concluded(monkeypatch).findings
+    assert Case([candidate(DAMPER, 20.0)], base, larger).concluded().findings
 
 
-def test_without_a_decisive_effect_a_force_decides(monkeypatch) -> None:
+def test_without_a_decisive_effect_a_force_decides() -> None:
     ranking = [
         candidate(PUSH, 30.0, was_weighed=False, lost="too small"),
         candidate(DAMPER, 3.5),
@@ -534,7 +530,7 @@ def test_without_a_decisive_effect_a_force_decides(monkeypatch) -> None:
     ]
     base = fitted(run(1.4))
     for alone, verdict in ((-4.5, NOTHING), (-4.7, UNEXPLAINED), (None, UNEXPLAINED)):
-        found = Case(ranking, base, alone=alone).concluded(monkeypatch)
+        found = Case(ranking, base, alone=alone).concluded()
         assert found.verdict == verdict
     assert found.reason == (
         "training error 1.40 m, noise floor 1 m: there is evidence that something is "
@@ -548,13 +544,13 @@ def test_without_a_decisive_effect_a_force_decides(monkeypatch) -> None:
         "there is no evidence for it (-1.5)",
     ]
     # What gains nothing is not the nearest; noise lacks nothing, whatever the force.
-    found = Case(ranking[-1:], alone=None).concluded(monkeypatch)
+    found = Case(ranking[-1:], alone=None).concluded()
     assert found.reason.endswith("no effect of the catalogue explains it")
     # An error of several times the noise is something, also without such a force.
     far = fitted(run(1.6))
-    assert Case(ranking, far, alone=0.0).concluded(monkeypatch).verdict == UNEXPLAINED
+    assert Case(ranking, far, alone=0.0).concluded().verdict == UNEXPLAINED
     white = fitted(run(1.05, p=0.5), run(1.0))
-    found = Case(ranking, white, alone=None).concluded(monkeypatch)
+    found = Case(ranking, white, alone=None).concluded()
     assert (found.verdict, found.reason) == (
         NOTHING,
         "held-out error 1.00 m, noise floor 1 m; there is no evidence of anything "
@@ -571,7 +567,7 @@ def test_nothing_is_named_where_the_data_are_the_cause(monkeypatch) -> None:
         return DataCause("run 3 differs", "check it")
 
     monkeypatch.setattr(conclusion, "data_cause", cause)
-    found = Case([candidate(FRICTION, 30.0)]).concluded(monkeypatch)
+    found = Case([candidate(FRICTION, 30.0)]).concluded()
     assert asked == [(10.0, 1.05)]
     assert (found.verdict, found.reason) == (UNEXPLAINED, "run 3 differs: check it")
     assert (found.findings, found.proposed, found.proposed_fit) == ((), (), None)
@@ -599,45 +595,6 @@ def test_without_evidence_the_free_runs_alone_decide() -> None:
         assert (found.verdict, found.ranking) == (verdict, ())
         assert found.reason == f"training error {said}"
         assert (found.record, found.base) == (base.record, base.judged)
-
-
-# ---- from one base to another
-
-
-def diagnosed(
-    monkeypatch: pytest.MonkeyPatch,
-    base: DiagnosedModel,
-    held: DiagnosedModel | None = None,
-) -> tuple[ph.Diagnosis, list[float]]:
-    """The diagnosis, and the errors of the models that were judged, in this order."""
-    judged = []
-
-    def concluded(base: DiagnosedModel, record: Any, *asked: Any) -> ph.Diagnosis:
-        assert record is base.judged and asked == ([DAMPER], False)
-        judged.append(base.judged.rmse)
-        return ph.Diagnosis(base.record, base.judged, (), NAMED, "named")
-
-    monkeypatch.setattr(DiagnosedModel, "of", lambda *_: base)
-    monkeypatch.setattr(DiagnosedModel, "evidence_record", lambda one: one.judged)
-    monkeypatch.setattr(diagnose, "concluded", concluded)
-    monkeypatch.setattr(diagnose, "held_base", lambda *_: held)
-    given: Any = {"loss": None, "progress": lambda _: None, "executor": None}
-    found = diagnose.diagnose_comparison(
-        base.trained, base.judged, choice=EffectChoice([DAMPER]), **given
-    )
-    return found, judged
-
-
-def test_a_diagnosis_begins_again_from_inputs_that_are_held(monkeypatch) -> None:
-    of_held = run(9.0)
-    of_held.record.aligned = SimpleNamespace(notes=["inputs are held"])
-    base, held = fitted(run(10.0)), fitted(of_held)
-    for known, expected, reason in (
-        (None, [10.0], "named"),
-        (held, [10.0, 9.0], "inputs are held; named"),
-    ):
-        found, judged = diagnosed(monkeypatch, base, known)
-        assert (judged, found.reason) == (expected, reason)
 
 
 # ---- other optima of one model

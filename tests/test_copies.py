@@ -5,14 +5,10 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.data.copies import check_can_judge, copies_in, sentence_about
+from tests.systems import spring
 
 T = np.linspace(0, 5, 51)
-SPRING = ph.PseudoHamiltonian(
-    states=["q", "p"],
-    S=ph.canonical(1),
-    H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0)),
-    R=ph.damping("p"),
-)
+SPRING = spring(ph.Parameter(1.0))
 
 
 def swing(seed: int, *hidden: int) -> np.ndarray:

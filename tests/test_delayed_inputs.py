@@ -180,16 +180,6 @@ def test_a_part_of_a_run_knows_the_inputs_before_it(hold: str) -> None:
     assert not len(parts[0].trajectories[0].past)
 
 
-@pytest.mark.parametrize("hold", ["zero", "linear", "cubic"])
-def test_a_line_moves_as_its_slopes_say(hold: str) -> None:
-    t = np.array([0.0, 1.0, 2.5, 3.0, 4.0, 5.0])
-    curve = InputCurve(t, np.array([1.0, -2.0, 0.5, 4.0, 3.0, 3.0]), hold)
-    begin, end = np.array([-0.4, 0.3, 0.8, 4.7]), np.array([0.2, 0.7, 2.7, 6.0])
-    moved = [curve.lines(begin + d, end + d)[:2] for d in (-1e-5, 1e-5)]
-    slopes = (moved[1] - moved[0]) / 2e-5
-    np.testing.assert_allclose(curve.lines(begin, end)[2:], slopes, atol=1e-3)
-
-
 @pytest.mark.parametrize(
     ("rate", "said"),
     [

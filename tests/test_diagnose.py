@@ -21,32 +21,22 @@ from phsi_opt.screening.sensitivities import Regression, Sensitivities
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.grid import aligned
 from problems.battery.draw import ROWS, draw
-from tests.machines import NOISE, STARTS, damped_spring, swings
-from tests.machines import TIMES as T
 from tests.sweep_tasks import Counted
-
-Model = ph.PseudoHamiltonian
-
-
-def canonical(H: str, R: str, F: str, **free: ph.Parameter | float) -> Model:
-    """A canonical pair whose R and F act on the momentum; with the input u of F."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"] if "u" in F else [],
-        S=ph.canonical(1),
-        H=ph.formula(H, **{n: v for n, v in free.items() if n in ("k", "M")}),
-        R={"p": ph.formula(R, **{n: v for n, v in free.items() if n == "c"})},
-        F={"p": ph.formula(F)} if F else {},
-    )
+from tests.systems import (
+    NOISE,
+    STARTS,
+    damped_spring,
+    pair,
+    positive,
+    recorded,
+    spring,
+    swings,
+)
+from tests.systems import TIMES as T
 
 
-def base() -> Model:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
-        R=ph.damping("p"),
-    )
+def base() -> ph.PseudoHamiltonian:
+    return spring(positive(2.0))
 
 
 def screening(fit: ph.Fit, data: ph.Measurements) -> ScoreTest:
@@ -103,19 +93,16 @@ def test_a_wave_that_the_record_does_not_repeat_is_not_named() -> None:
     assert wave.lost.startswith("the record has only 1.0 of its periods")
 
 
-def driven(mass: ph.Parameter) -> Model:
+def driven(mass: ph.Parameter) -> ph.Model:
     """A driven mass with viscous friction."""
-    return replace(canonical("p**2/(2*M)", "0", "u", M=mass), R=ph.damping("p"))
+    return pair("p**2/(2*M)", ph.damping("p"), "u", M=mass)
 
 
 def pushed(loss: str, gain: str = "1") -> ph.Measurements:
     """Positions of a mass of two, pushed to and fro, with another loss or gain."""
     u = 2 * np.sin(0.9 * T[:, None]) + np.sin(2.3 * T[:, None] + 1)
-    model = canonical("p**2/(2*2)", loss, f"{gain}*u")
-    x = ph.simulate(model, T, [0.0, 1.0], u)
-    x = x + NOISE * np.random.default_rng(11).normal(size=x.shape)
-    x[:, 1] = np.nan
-    return ph.Measurements.from_arrays([T], [x], [u], states=["q", "p"], inputs=["u"])
+    model = pair("p**2/(2*2)", loss, f"{gain}*u")
+    return recorded(model, T, [0.0, 1.0], u=u, seed=11, shown="q")
 
 
 def test_what_the_base_parameters_can_do_themselves_is_no_candidate() -> None:
@@ -247,15 +234,13 @@ def test_a_dead_zone_far_smaller_than_the_input_is_found() -> None:
     u = [np.sin(1.9 * T + k) + 0.5 * np.sin(0.8 * T + 2 * k) for k in range(3)]
     columns = [ui[:, None] for ui in u]
     zone = f"u - min(max(u, -{width}), {width})"
-    pushed = canonical("2.3*q**2/2 + p**2/2", "0.1", zone)
+    pushed = pair("2.3*q**2/2 + p**2/2", "0.1", zone)
     runs = [ph.simulate(pushed, T, *one) for one in zip(STARTS, columns, strict=True)]
     noisy = [x + 0.1 * NOISE * rng.normal(size=x.shape) for x in runs]
     data = ph.Measurements.from_arrays(
         [T] * 3, noisy, columns, states=["q", "p"], inputs=["u"]
     )
-    k = ph.Parameter(2.0, lower=0)
-    model = canonical("k*q**2/2 + p**2/2", "0", "u", k=k)
-    model = replace(model, R=ph.damping("p"))
+    model = spring(positive(2.0), F="u")
     best = ph.diagnose(ph.identify(model, data), data).candidates.iloc[0]
     assert best.effect == "input dead zone" and is_near(best, width)
 
@@ -313,13 +298,13 @@ def test_an_effect_that_became_superfluous_is_taken_out_again() -> None:
 
 
 def test_an_effect_that_ended_at_a_limit_is_taken_out_again() -> None:
-    stiff = canonical("1.4*q**2/2 + p**2/2", "0.1", "0.3")
+    stiff = pair("1.4*q**2/2 + p**2/2", "0.1", "0.3")
     runs = []
     for k, start in enumerate(([1.0, 0.0], [0.0, 1.2], [-0.8, 0.3])):
         noise = 0.01 * np.random.default_rng(k).normal(size=(len(T), 2))
         runs.append(ph.simulate(stiff, T, start) + noise)
     data = ph.Measurements.from_arrays([T] * 3, runs, states=["q", "p"])
-    known = replace(canonical("q**2/2 + p**2/2", "0", ""), R=ph.damping("p"))
+    known = pair("q**2/2 + p**2/2", ph.damping("p"))
     lines: list[str] = []
     rivals = ["maxwell element", "constant force"]
     study = ph.Study(known, data, effects=rivals, progress=lines.append)
@@ -338,7 +323,9 @@ def test_an_effect_stays_where_few_iterations_do_not_fit_the_model_without_it(
 ) -> None:
     asked = []
 
-    def identify(model: Model, *data: Any, settings: Any = None, **words: Any) -> Any:
+    def identify(
+        model: ph.Model, *data: Any, settings: Any = None, **words: Any
+    ) -> Any:
         if settings is not None and not settings.thorough:
             asked.append((settings.max_iterations, sorted(model.free)))
             raise ph.SolveError("no optimum")

@@ -44,6 +44,39 @@ def test_a_loss_and_a_force_along_a_direction_act_in_all_its_equations() -> None
     assert "dp2/dt = - dH_dq2 - R_p2_p1*(dH_dp2 - dH_dp1) + F_p2 - s/2*F" in said
 
 
+def test_a_full_matrix_of_losses_is_found_by_its_factors() -> None:
+    R = np.array([[0.5, 0.2], [0.2, 0.4]])
+    K = np.array([[3.0, -1.0], [-1.0, 2.0]])
+    x = solve_ivp(
+        lambda _, x: np.r_[x[2:], -K @ x[:2] - R @ x[2:]],
+        (0, 10),
+        [1.0, -0.5, 0.0, 0.8],
+        t_eval=np.linspace(0, 10, 201),
+        rtol=1e-9,
+        atol=1e-10,
+    )
+    noise = 0.005 * np.random.default_rng(3).standard_normal((201, 4))
+    data = ph.Measurements.from_arrays(
+        x.t, x.y.T + noise, states=["q1", "q2", "p1", "p2"]
+    )
+    model = ph.PseudoHamiltonian(
+        states=["q1", "q2", "p1", "p2"],
+        S=ph.canonical(2),
+        H="k1*q1**2/2 + k2*q2**2/2 + k12*q1*q2 + p1**2/2 + p2**2/2",
+        R={
+            "p1 + l*p2": ph.formula(
+                "d1", d1=ph.Parameter(0.3, lower=0), l=ph.Parameter(0.1)
+            ),
+            "p2": ph.formula("d2", d2=ph.Parameter(0.3, lower=0)),
+        },
+    )
+    fit = ph.identify(model, data)
+    of = fit.estimates
+    D = np.diag([of["d1"], of["d2"]])
+    L = np.array([[1.0, 0.0], [of["l"], 1.0]])
+    assert np.allclose(L @ D @ L.T, R, atol=0.02)
+
+
 def test_a_factor_that_is_a_sum_is_printed_in_brackets() -> None:
     model = coupled(F={"p1 - (1 + s)*p2": "a*q1"})
     assert "- (1 + s)*F_p1" in str(model)

@@ -12,19 +12,15 @@ from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.laws import effect_words, parameter_words
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import grid_of
+from tests import systems
+from tests.systems import pair
 
 M, K, X, U, T = 2.0, 3.0, np.array([0.7, -1.2]), np.array([0.9]), 0.4
 Q, V = 0.7, -0.6  # of the state X
 
 
 def spring() -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=K, m=M),
-        F={"p": ph.formula("b*u", b=5.0)},
-    )
+    return pair("k*q**2/2 + p**2/(2*m)", F="b*u", k=K, m=M, b=5.0)
 
 
 def tank() -> ph.PseudoHamiltonian:
@@ -199,14 +195,8 @@ def test_effects_can_be_sent_to_other_processes_and_refuse_an_unknown_slot() -> 
 
 
 def test_parameters_of_effects_are_told_in_words_and_others_by_their_names() -> None:
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=1.0),
-        R=ph.damping("p"),
-        F={"p": ph.formula("u") + ph.trigonometric("t")},
-    )
+    force = ph.formula("u") + ph.trigonometric("t")
+    model = systems.spring(1.0, F=force, inputs=["u"])
     for name in ("coulomb friction", "gap", "input delay", "constant force"):
         model = model.add(effect_named(model, name, "p"))
     told = {name: parameter_words(model, name) for name in model.entries}
@@ -218,13 +208,7 @@ def test_parameters_of_effects_are_told_in_words_and_others_by_their_names() -> 
     assert told["delay_u_p"] == "delay of u in the equation of p"
     assert told["constant_force_p"] == "constant force in the equation of p"
     assert told["k"] == "k" and told["R_p"] == "R_p"
-    driven = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["force"],
-        S=ph.canonical(1),
-        H=ph.formula("p**2/2"),
-        F={"p": ph.formula("force")},
-    )
+    driven = pair("p**2/2", F="force", inputs=["force"])
     driven = driven.add(effect_named(driven, "constant force", "p"))
     assert parameter_words(driven, "constant_force_p").startswith("constant force in")
     (wave,) = [one for name, one in told.items() if name.startswith("F_p[sin")]
@@ -274,14 +258,8 @@ def test_a_hysteresis_that_hardens_is_named_with_its_shape() -> None:
     data = ph.Measurements.from_arrays(
         t, y, u[:, None], states=["q", "p"], inputs=["u"]
     )
-    base = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(K), m=M),
-        R=ph.damping("p"),
-        F={"p": ph.formula("b*u", b=5.0)},
-    )
+    energy = "k*q**2/2 + p**2/(2*m)"
+    base = pair(energy, ph.damping("p"), "b*u", k=ph.Parameter(K), m=M, b=5.0)
     effects = ["cubic stiffness", "hysteresis", "bouc-wen hysteresis"]
     found = ph.diagnose(ph.identify(base, data), data, effects=effects)
     assert found.verdict is ph.Verdict.NAMED

@@ -22,8 +22,8 @@ from phsi_opt.sweeps.local_workers import THREAD_VARIABLES, local_workers
 from phsi_opt.sweeps.sweep import ahead
 from problems.judges.fit_cases import PROBLEMS
 from tests import sweep_tasks
-from tests.machines import driven_spring
 from tests.sweep_tasks import Counted
+from tests.systems import spring
 
 EFFECTS = ["coulomb friction", "quadratic drag", "cubic stiffness", "gravity torque"]
 STIFFENS = "1.2*q**3"
@@ -35,7 +35,7 @@ def record(n_samples: int, seed: int, force: str = STIFFENS) -> ph.Measurements:
     t = 0.1 * np.arange(n_samples)
     phases = np.outer(t, rng.uniform(0.3, 3.0, 6)) + rng.uniform(0, 2 * np.pi, 6)
     u = np.sin(phases).sum(axis=1, keepdims=True)
-    x = ph.simulate(driven_spring(2.0, 0.2, f"u - {force}"), t, [1.0, 0.0], u)
+    x = ph.simulate(spring(2.0, 0.2, F=f"u - {force}"), t, [1.0, 0.0], u)
     y = x + 0.02 * x.std(axis=0) * rng.normal(size=x.shape)
     y[:, 1] = np.nan
     return ph.Measurements.from_arrays(t, y, u, states=["q", "p"], inputs=["u"])
@@ -49,7 +49,7 @@ def workers() -> Iterator[Executor]:
 
 def fitted(data: ph.Measurements) -> ph.Fit:
     unknown = ph.Parameter(1.0, lower=0)
-    return ph.identify(driven_spring(unknown, unknown), data)
+    return ph.identify(spring(unknown, unknown, F="u"), data)
 
 
 @pytest.fixture(scope="module")
@@ -216,7 +216,7 @@ def fit_digest() -> str:
 def study_digest(folder: Path) -> str:
     """Of a study with a diagnosis, an effect and a report."""
     unknown = ph.Parameter(1.0, lower=0)
-    model = driven_spring(unknown, unknown)
+    model = spring(unknown, unknown, F="u")
     study = ph.Study(model, record(150, 0), record(60, 1), effects=EFFECTS)
     study.auto(1)
     assert study.added

@@ -3,6 +3,7 @@
 import dataclasses
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -19,6 +20,8 @@ from phsi_opt.export import targets
 from phsi_opt.export.equations import Equations, allowed_names
 from problems.benchmarks.exports import AGREED, Motion, compared
 from problems.tools.exported import Compiled, run_fmu
+from tests import systems
+from tests.systems import recorded
 
 T = np.linspace(0.0, 4.0, 81)
 PULSES = np.column_stack([np.sign(np.sin(3 * T)), np.cos(T)])
@@ -27,26 +30,17 @@ PULSES = np.column_stack([np.sign(np.sin(3 * T)), np.cos(T)])
 def fitted(model: ph.Model, hold: str = "linear", **options: object) -> ph.Fit:
     """A fit of a few parameters of a model to its own motion with a little noise."""
     u = PULSES[:, : len(model.inputs)]
-    x0 = np.linspace(1.0, 0.5, model.n_states)
-    x = ph.simulate(model, T, x0, u, hold=hold)
-    y = x + 0.001 * np.random.default_rng(0).normal(size=x.shape)
-    y[:, np.isin(model.states, list(model.memory))] = np.nan
-    data = ph.Measurements.from_arrays(
-        T, y, u, states=model.states, inputs=model.inputs, hold=hold
-    )
+    x0 = np.linspace(1.0, 0.5, model.n_states).tolist()
+    shown = [name for name in model.states if name not in model.memory]
+    data = recorded(model, T, x0, u=u, noise=0.001, shown=shown, hold=hold)
     return ph.identify(model, data, **options)  # type: ignore[arg-type]
 
 
-def driven(force: str, **parameters: ph.Parameter | float) -> ph.PseudoHamiltonian:
+def driven(force: Any, **parameters: ph.Parameter | float) -> ph.PseudoHamiltonian:
     """A mass on a spring with a free damper, and a force."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(9.0), m=1.5),
-        R={"p": ph.formula("c", c=ph.Parameter(0.3))},
-        F={"p": ph.formula(force, **parameters)},
-    )
+    force = ph.formula(force, **parameters)
+    k, c = ph.Parameter(9.0), ph.Parameter(0.3)
+    return systems.spring(k, c, 1.5, force, inputs=["u"])
 
 
 @cache

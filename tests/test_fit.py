@@ -6,7 +6,6 @@ import json
 import pickle
 import re
 from collections.abc import Callable, Iterator
-from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -343,12 +342,6 @@ def test_the_work_is_done_once_and_begins_anew_where_it_was_interrupted() -> Non
         _ = later.value
     assert (later.value, later.value) == (7, 7)
     assert calls == [1, 1]
-
-
-def test_copies_hold_the_value() -> None:
-    later = Later(lambda: [1, 2])  # a lambda cannot be pickled
-    assert pickle.loads(pickle.dumps(later)).value == [1, 2]
-    assert deepcopy(later).value == [1, 2]
 
 
 def test_what_would_be_endless_multiplied_out_is_left_as_it_is() -> None:

@@ -21,6 +21,7 @@ from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.model.typeset import typeset_equations
 from phsi_opt.screening.effect_size import fitted_size
+from tests import systems
 
 BELLS = "unknown loss r(q) of 8 bells from -1 to 2, less a constant"
 PUSH = "unknown force f(q) of 8 bells from -1 to 2, less a slope"
@@ -33,14 +34,7 @@ MASS = ph.Parameter(1.5, fixed=True, unit="kg")
 
 def spring() -> ph.PseudoHamiltonian:
     """A driven mass of 1.5 kg whose stiffness and damper are not known."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", m=MASS, k=ph.Parameter()),
-        R={"p": "c"},
-        F={"p": "u"},
-    )
+    return systems.spring(ph.Parameter(), ph.Parameter(lower=0), MASS, "u")
 
 
 def measured(law: Law, memory: Law | None = None, seed: int = 5) -> ph.Measurements:

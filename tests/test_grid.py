@@ -9,10 +9,8 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.transcription.defects import (
     between_samples,
-    defect,
-    parameter_slopes,
 )
-from phsi_opt.transcription.grid import AlignedData, Grid, aligned, grid_of
+from phsi_opt.transcription.grid import AlignedData, aligned, grid_of
 from phsi_opt.transcription.integrators import INTEGRATORS, Integrator
 
 
@@ -46,39 +44,6 @@ def model() -> ph.PseudoHamiltonian:
 
 
 # ---- layout
-
-
-@pytest.mark.parametrize("steps", [1, 2, 7])
-def test_every_sample_is_a_node_and_no_interval_leaves_its_trajectory(steps) -> None:
-    record = data()
-    grid = grid_of(record, steps)
-    assert grid.n_nodes == (5 + 3) * steps + 2
-    assert grid.n_intervals == (5 + 3) * steps
-    np.testing.assert_array_equal(grid.y[grid.sample], record.stacked("x"))
-    assert np.isnan(grid.y[~grid.sample]).all()
-    # A node's time is left + fraction * step, which rounds once or twice.
-    times = grid.t[grid.sample]
-    np.testing.assert_allclose(times, record.stacked("t"), rtol=1e-15)
-    ends = grid.trajectory[grid.begin + 1]
-    np.testing.assert_array_equal(grid.trajectory[grid.begin], ends)
-    np.testing.assert_array_equal(grid.h, grid.t[grid.begin + 1] - grid.t[grid.begin])
-    assert grid.t[grid.first].tolist() == [run.t[0] for run in record.trajectories]
-
-
-@pytest.mark.parametrize("steps", [1, 3])
-def test_an_input_is_interpolated_between_the_samples_or_held(steps: int) -> None:
-    record = data()
-    grid = grid_of(record, steps)
-    for run, t, u in zip(record, grid.split(grid.t), grid.split(grid.u), strict=True):
-        # Interpolation in another order of operations: rounding only.
-        expected = np.interp(t, run.t, run.u[:, 0])
-        np.testing.assert_allclose(u[:, 0], expected, atol=1e-14)
-    np.testing.assert_array_equal(grid.u0, grid.u[grid.begin])
-    np.testing.assert_array_equal(grid.u1, grid.u[grid.begin + 1])
-    held = grid_of(data("zero"), steps)
-    before = np.concatenate([np.repeat(run.u[:-1], steps, axis=0) for run in record])
-    np.testing.assert_array_equal(held.u0, before)
-    np.testing.assert_array_equal(held.u1, before)
 
 
 def test_a_defect_is_named_by_trajectory_times_and_row() -> None:
@@ -171,50 +136,6 @@ ONLY_Q = ph.FirstOrder(("q",), {"q": "-q"})
 def test_what_does_not_match_is_named(model, measured, error, message) -> None:
     with pytest.raises(error, match=f"^{message}"):
         AlignedData.of(model, measured)
-
-
-# ---- defects
-
-
-def complete() -> tuple[Grid, np.ndarray]:
-    grid = grid_of(data())
-    return grid, np.nan_to_num(grid.y)
-
-
-@pytest.mark.parametrize("scheme", INTEGRATORS)
-def test_defects_are_those_of_the_intervals_and_slopes_those_of_differences(
-    scheme: str,
-) -> None:
-    made, (grid, x) = model(), complete()
-    theta, step = made.theta, 1e-6
-    slopes = parameter_slopes(made, grid, scheme, theta, x).slopes
-
-    def all_defects(at: np.ndarray) -> np.ndarray:
-        return parameter_slopes(made, grid, scheme, at, x).d
-
-    one = defect(made, scheme)
-    for k, (i, together) in enumerate(zip(grid.begin, all_defects(theta), strict=True)):
-        known = (grid.t[i], grid.h[k], grid.u0[k], grid.u1[k])
-        alone = np.array(one(x[i], x[i + 1], *known, theta)).ravel()
-        np.testing.assert_array_equal(together, alone)
-    columns = []
-    for e in step * np.eye(len(theta)):
-        change = all_defects(theta + e) - all_defects(theta - e)
-        columns.append(change.ravel() / (2 * step))
-    # Central differences: rounding of defects near 10 over the step, 1e-15 * 10 / 1e-6.
-    np.testing.assert_allclose(slopes, np.column_stack(columns), atol=1e-7)
-
-
-def test_states_between_samples_follow_the_model_from_the_sample_before() -> None:
-    own = model()
-    grid = grid_of(data(), [np.full(5, 4), np.full(3, 4)])
-    x = np.random.default_rng(1).normal(size=(10, 2))
-    nodes = between_samples(own, grid, x, own.theta)
-    assert np.array_equal(nodes[grid.sample], x)
-    d = np.abs(parameter_slopes(own, grid, "srk4", own.theta, nodes).d)
-    ends_at_sample = grid.sample[grid.begin + 1]
-    assert np.max(d[~ends_at_sample]) < 1e-5  # of the scheme
-    assert np.max(d[ends_at_sample]) > 0.1
 
 
 # ---- one-step schemes

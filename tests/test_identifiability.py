@@ -4,76 +4,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.estimation.uncertainty import SilentDirections, silent_directions
-from phsi_opt.optimization.bounded_step import regularized_inverse
-
-NAMES = [f"c{i}" for i in range(30)]
-
-
-def silent_along(theta: np.ndarray, *open_directions: list[float]) -> SilentDirections:
-    """What is found where a design of fifty rows is blind along some directions."""
-    n = len(theta)
-    orthonormal, _ = np.linalg.qr(np.array(open_directions).T)
-    root = np.random.default_rng(1).normal(size=(50, n))
-    root = root @ (np.eye(n) - orthonormal @ orthonormal.T)
-    return silent_directions(NAMES[:n], theta, regularized_inverse(root.T @ root))
-
-
-def test_terms_without_significance_are_not_called_a_common_factor() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        root = rng.normal(size=(60, 30)) * 10 ** rng.uniform(-1, 2, 30)
-        covariance = regularized_inverse(root.T @ root)
-        # Estimates of coefficients that are zero: all within their errors.
-        theta = rng.multivariate_normal(np.zeros(30), covariance)
-        silent = silent_directions(NAMES, theta, covariance)
-        assert silent.sentences == ()
-        assert silent.parameters == ()
-
-
-@pytest.mark.parametrize(("theta", "direction", "members", "said"), [
-    (
-        [3.0, 2.0, 0.5, 1.0, -4.0],
-        [3.0, 2.0, 0.5, 0.0, 0.0],  # the first three times one number
-        (0, 1, 2),
-        "c0, c1, c2: a common factor of all does not change",
-    ),
-    ([3.0, 2.0], [3.0, 2.0], (0, 1), "only c0/c1 is identifiable"),
-    ([3.0, 2.0], [3.0, -2.0], (0, 1), "only c0*c1 is identifiable"),
-    ([1.0, 1.0, 1.0], [0.0, 1.0, 0.0], (1,), "the data contain no information about c1: fix it to a known value or remove it"),
-])  # fmt: skip
-def test_an_open_direction_is_named_by_its_members(
-    theta: list[float], direction: list[float], members: tuple[int, ...], said: str
-) -> None:
-    silent = silent_along(np.array(theta), direction)
-    assert silent.parameters == members
-    (sentence,) = silent.sentences
-    assert said in sentence
-
-
-def test_two_open_directions_are_named_apart_however_their_eigenvectors_are_mixed() -> (
-    None
-):
-    theta = np.array([1.0, 0.7, 2.0, 3.0, 0.2, 5.0])
-    first, second = [1.0, -2.0, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 1.0, 0.0]
-    silent = silent_along(theta, first, second)
-    assert silent.parameters == (0, 1, 2, 3, 4)
-    assert sorted(sentence.partition(":")[0] for sentence in silent.sentences) == [
-        "the data cannot distinguish c0, c1, c2",
-        "the data cannot distinguish c3, c4",
-    ]
-
-
-@pytest.mark.parametrize(("predicts", "said"), [
-    (lambda c: np.array([c[0] + c[1], 0.3]), "c0, c1: fix one of them"),
-    (lambda c: np.array([c[0] * c[1], 0.3]), "only c0*c1 is identifiable"),
-])  # fmt: skip
-def test_a_sum_of_equal_parts_is_not_called_a_product(predicts, said: str) -> None:
-    theta = np.array([2.0, 2.0])
-    root = np.outer(np.ones(3), [1.0, 1.0])
-    information = regularized_inverse(root.T @ root)
-    (sentence,) = silent_directions(NAMES, theta, information, (), predicts).sentences
-    assert said in sentence
+from tests.systems import pair
 
 
 @pytest.mark.parametrize("loss", [ph.PHSILoss(), ph.MaximumLikelihood()])
@@ -83,11 +14,8 @@ def test_a_stiffness_beside_a_linear_force_is_told_as_no_product(loss) -> None:
     x = np.c_[np.cos(2 * t), -2 * np.sin(2 * t)]
     x += 0.01 * np.random.default_rng(3).standard_normal(x.shape)
     data = ph.Measurements.from_arrays(t, x, states=["q", "p"])
-    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0))
-    force = {"p": ph.formula("-c*q", c=ph.Parameter(2.0))}
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=energy, F=force
-    )
+    free = {"k": ph.Parameter(2.0), "c": ph.Parameter(2.0)}
+    model = pair("k*q**2/2 + p**2/2", F="-c*q", **free)
     (note,) = [one for one in ph.identify(model, data, loss).warnings if "k, c" in one]
     assert note == "the data cannot distinguish k, c: fix one of them to a known value"
     fit = ph.identify(model, data, loss, l1=1e-3)  # has no standard errors, but ends
@@ -98,8 +26,7 @@ def test_intervals_by_steps_on_clean_data_hold_what_the_steps_miss() -> None:
     t = np.arange(0.0, 20.0, 0.4)
     x = np.c_[np.cos(2 * t), -2 * np.sin(2 * t)]
     data = ph.Measurements.from_arrays(t, x, states=["q", "p"])
-    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(3.0))
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy)
+    model = pair("k*q**2/2 + p**2/2", k=ph.Parameter(3.0))
     fit = ph.identify(model, data, ph.PHSILoss())
     missed = abs(fit.values["k"] - 4.0)
     assert missed > 1e-3

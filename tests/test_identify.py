@@ -14,17 +14,15 @@ from phsi_opt.model_error.standard_errors import (
     StandardErrors,
     standard_errors,
 )
+from tests import systems
+from tests.systems import Number, pair, positive, recorded
 
 K, M, D = 40.0, 2.5, 0.8  # N/m, kg, kg/s
 T = np.linspace(0.0, 4.0, 161)
 
 
-def spring(k: Any = None, m: Any = M) -> ph.PseudoHamiltonian:
-    k = ph.Parameter(30.0, lower=0.0) if k is None else k
-    energy = ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=m)
-    return ph.PseudoHamiltonian(
-        states=("q", "p"), S=ph.canonical(1), H=energy, R=ph.damping("p")
-    )
+def spring(k: Number | None = None, m: Number = M) -> ph.PseudoHamiltonian:
+    return systems.spring(k or positive(30.0), m=m)
 
 
 TRUTH = spring(K).with_values({"R_p": D})
@@ -89,22 +87,14 @@ def test_the_standard_error_agrees_with_the_scatter_over_seeds() -> None:
 @pytest.mark.slow
 def test_pruning_recovers_the_support_of_a_driven_spring_from_clean_data() -> None:
     t = np.linspace(0.0, 10.0, 401)
-    about: Any = {"states": ("q", "p"), "S": ph.canonical(1)}
-    truth = ph.PseudoHamiltonian(
-        H="1.5*q**2/2 + p**2/(2*0.5)",
-        R={"p": "0.3"},
-        F={"p": "1.2*sin(2.5*t)"},
-        **about,
-    )
-    xs = [ph.simulate(truth, t, x0) for x0 in ([1.0, 0.0], [-0.7, 1.1])]
+    truth = pair("1.5*q**2/2 + p**2/(2*0.5)", "0.3", "1.2*sin(2.5*t)")
+    data = recorded(truth, t, [1.0, 0.0], [-0.7, 1.1], noise=0.0)
     wave = ph.trigonometric("t", frequency=2.4)
-    candidates = ph.PseudoHamiltonian(
-        H=ph.polynomials(["q", "p"], 3),
-        R=ph.damping("p"),
-        F={"p": wave + ph.polynomials(["q"], 1, constant=True)},
-        **about,
+    candidates = pair(
+        ph.polynomials(["q", "p"], 3),
+        ph.damping("p"),
+        wave + ph.polynomials(["q"], 1, constant=True),
     )
-    data = ph.Measurements.from_arrays([t, t], xs, states=["q", "p"])
     pruning = ph.Pruning(threshold=0.05)
     fit = ph.identify(candidates, data, ph.PHSILoss(), l1=1e-3, pruning=pruning)
     terms = {"H[q**2]": 0.75, "H[p**2]": 1.0, "R_p": 0.3, "F_p[sin(omega_t*t)]": 1.2}

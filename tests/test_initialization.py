@@ -8,18 +8,10 @@ import phsi_opt as ph
 from phsi_opt.initialization.relative_guesses import fast_motion
 from phsi_opt.initialization.scaling import kinematic_states
 from phsi_opt.transcription.grid import Grid, grid_of
+from tests import systems
+from tests.systems import Number, pair, recorded
 
 T = np.linspace(0.0, 20.0, 201)
-
-
-def hamiltonian(H: str, R: str, **parameters: ph.Parameter | float) -> ph.Model:
-    of_loss = {name: parameters.pop(name) for name in ("c",) if name in parameters}
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula(H, **parameters),
-        R={"p": ph.formula(R, **of_loss)},
-    )
 
 
 def first_state(model: ph.Model, shown: np.ndarray, t: np.ndarray = T) -> Grid:
@@ -33,29 +25,25 @@ def first_state(model: ph.Model, shown: np.ndarray, t: np.ndarray = T) -> Grid:
 # ---- a start that is too fast for the samples ------------------------------------------
 
 
-def spring_at(
-    k: float | None, lower: float = 0.0, **known: ph.Parameter | float
-) -> ph.Model:
+def spring_at(k: float | None, lower: float = 0.0, m: Number = 2.0) -> ph.Model:
     stiffness = ph.Parameter(k, lower=lower, unit="N/m")
-    mass = known.get("m", 2.0)
-    return hamiltonian("k*q**2/2 + p**2/(2*m)", "c", k=stiffness, m=mass, c=0.3)
+    return systems.spring(stiffness, 0.3, m)
 
 
 @pytest.fixture(scope="module")
 def swing() -> ph.Measurements:
     """Two samples in 0.2 s: oscillations up to 5 Hz."""
-    x = ph.simulate(spring_at(40.0), T, [1.0, 0.0])
-    x[:, 1] = np.nan
-    x[:, 0] += 0.01 * np.random.default_rng(0).normal(size=len(T))
     units = {"t": "s", "q": "m", "p": "kg m/s"}
-    return ph.Measurements.from_arrays(T, x, states=["q", "p"], units=units)
+    return recorded(spring_at(40.0), T, [1.0, 0.0], shown="q", units=units)
 
 
 def test_a_motion_above_the_nyquist_frequency_is_told_before_all_else(swing) -> None:
     fit = ph.identify(spring_at(1e4, lower=5e3), swing, raise_on_failure=False)
     first, text = fit.caution, " ".join(str(fit).split())
     assert text.startswith(f"{first} Fit of ") and first == fit.warnings[0]
-    told = f"k = {fit.values['k']:.4g} N/m let the model oscillate at 12.6 Hz"
+    k = fit.values["k"]
+    hertz = np.sqrt(k / 2.0) / (2 * np.pi)
+    told = f"k = {k:.4g} N/m let the model oscillate at {hertz:.3g} Hz"
     assert told in first and "limit, at 5 Hz" in first
     assert text.count("Nyquist") == 1 and "; see the first line" in text
 
@@ -68,24 +56,11 @@ def test_a_start_above_the_limit_is_not_told_of_a_fit_that_left_it(swing) -> Non
     assert not fit.caution and "Nyquist" not in str(fit)
 
 
-@pytest.mark.parametrize("k", [1900.0, 2100.0])  # the limit: m (pi/h)^2 = 1974 N/m
-def test_the_limit_of_a_start_is_that_of_nyquist(k, swing) -> None:
-    said = fast_motion(spring_at(k), grid_of(swing), swing.units)
-    assert bool(said) == (k > 2 * (np.pi / 0.1) ** 2)
-
-
-def test_a_frequency_without_a_start_or_a_choice_is_not_doubted(swing) -> None:
-    unknown = spring_at(5e7, m=ph.Parameter(lower=0.1))
-    known = spring_at(5e7).frozen()
-    for model in (unknown, known, spring_at(None)):
-        assert not fast_motion(model, grid_of(swing), swing.units)
-
-
 # ---- states by kinematics ------------------------------------------------------------
 
 
 def test_a_momentum_follows_from_the_rate_of_its_position() -> None:
-    model = hamiltonian("1.7*q**2/2 + p**2/3", "0.15")
+    model = pair("1.7*q**2/2 + p**2/3", "0.15")
     x = ph.simulate(model, T, [1.0, 0.0])
     q = x[:, 0].copy()
     q[50:60] = np.nan  # a gap
@@ -96,14 +71,6 @@ def test_a_momentum_follows_from_the_rate_of_its_position() -> None:
     inside = slice(70, 190)
     # Differences over two intervals of 0.1: the third derivative times h^2 / 6.
     np.testing.assert_allclose(found[inside, 1], x[inside, 1], atol=0.01)
-
-
-def test_a_state_that_moves_nothing_measured_is_not_guessed() -> None:
-    rates = {"a": ph.formula("-a"), "b": ph.formula("a - b"), "c": ph.formula("b - c")}
-    model = ph.FirstOrder(["a", "b", "c"], rates)
-    found, is_complete = kinematic_states(model, first_state(model, np.exp(-T)))
-    assert not is_complete
-    np.testing.assert_array_equal(found[:, 1:], 0.0)
 
 
 # ---- formulas without values ---------------------------------------------------------
@@ -117,9 +84,7 @@ def test_a_state_that_moves_nothing_measured_is_not_guessed() -> None:
     ("k*q**2/2 + p**2/(2*m)", None),
 ])  # fmt: skip
 def test_what_has_no_value_is_refused(energy: str, said: str | None) -> None:
-    known: dict[str, ph.Parameter | float] = {"k": ph.Parameter(1.0), "m": 1.0}
-    known["zero"] = 0.0
-    model = hamiltonian(energy, "0", **{n: v for n, v in known.items() if n in energy})
+    model = pair(energy, "0", k=ph.Parameter(1.0), m=1.0, zero=0.0)
     t = np.arange(0, 5, 0.05)
     x = np.column_stack([np.cos(2 * t), np.full(t.shape, np.nan)])
     data = ph.Measurements.from_arrays([t], [x], states=["q", "p"])
@@ -134,13 +99,7 @@ def test_what_has_no_value_is_refused(energy: str, said: str | None) -> None:
 
 
 def spring(k: ph.Parameter | float = 1.5) -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=k),
-        F={"p": "u"},
-    )
+    return pair("k*q**2/2 + p**2/2", F="u", k=k)
 
 
 @pytest.mark.parametrize("delay", [0.15, 0.4])
@@ -171,8 +130,7 @@ def test_a_start_needs_no_convex_solver(monkeypatch: pytest.MonkeyPatch) -> None
     t = np.linspace(0, 10, 101)
     x = np.column_stack([np.cos(t), -np.sin(t)])
     data = ph.Measurements.from_arrays(t, x, states=["q", "p"])
-    energy = ph.polynomials(["q", "p"], 2)
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy)
+    model = pair(ph.polynomials(["q", "p"], 2))
     expected = ph.identify(model, data, ph.PHSILoss(), l1=1e-4).estimates
     monkeypatch.setattr(cp.Problem, "solve", fails)
     found = ph.identify(model, data, ph.PHSILoss(), l1=1e-4).estimates

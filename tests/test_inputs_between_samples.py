@@ -3,24 +3,22 @@ input to input (`hold={"valve": "zero"}`).
 """
 
 import pickle
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 import phsi_opt as ph
 from phsi_opt.data.noticed import breaks_of
-from phsi_opt.data.trajectory import InputCurve, Trajectory, is_stepped
+from phsi_opt.data.trajectory import Trajectory, is_stepped
 from phsi_opt.page.drafts import look_at
 from phsi_opt.simulation.simulate import free_run
 from phsi_opt.study_file.survey import first_text, survey
 from phsi_opt.study_file.toml_text import toml_tables
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import AlignedData, grid_of
-from tests.machines import pushed_mass
+from tests.systems import pushed_mass
 
 # ---- smooth inputs
 
@@ -49,19 +47,6 @@ def moved(hold: str) -> ph.Measurements:
     return ph.Measurements.from_arrays(
         TIMES, x, push(TIMES), states=["q", "p"], inputs=["u"], hold=hold
     )
-
-
-@pytest.mark.parametrize("n_samples", [2, 3, 5])
-def test_a_line_has_the_mean_and_the_first_moment_of_the_spline(n_samples: int) -> None:
-    t = np.array([0.0, 0.7, 1.0, 2.2, 3.0])[:n_samples]
-    smooth = CubicSpline(t, np.exp(t))
-    first, last, *_ = InputCurve(t, np.exp(t), "cubic").lines(t[:-1], t[1:])
-    s, weight = np.polynomial.legendre.leggauss(4)  # exact for these polynomials
-    for k, (a, b) in enumerate(pairwise(t)):
-        spline = smooth((a + b) / 2 + (b - a) / 2 * s)
-        line = (first[k] + last[k]) / 2 + (last[k] - first[k]) / 2 * s
-        np.testing.assert_allclose(weight @ spline, weight @ line, rtol=1e-12)
-        np.testing.assert_allclose(weight @ (spline * s), weight @ (line * s))
 
 
 def test_simulate_free_run_and_closed_form_agree() -> None:

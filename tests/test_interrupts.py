@@ -8,7 +8,6 @@ import threading
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 
@@ -18,15 +17,11 @@ from phsi_opt.interrupts import interruptible, is_noted, solving
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.optimization import ipopt
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
+from tests.systems import recorded, spring
 from tests.waiting import HANGS_AFTER
 
 T = np.linspace(0, 10, 101)
-SPRING = ph.PseudoHamiltonian(
-    states=["q", "p"],
-    S=ph.canonical(1),
-    H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0)),
-    R=ph.damping("p"),
-)
+SPRING = spring(ph.Parameter(1.0))
 
 
 def press() -> None:
@@ -34,9 +29,8 @@ def press() -> None:
 
 
 def record(k: float = 1.4) -> ph.Measurements:
-    x = ph.simulate(SPRING.with_values({"k": k, "R_p": 0.1}), T, [1.0, 0.0])
-    noise = np.random.default_rng(1).normal(size=x.shape)
-    return ph.Measurements.from_arrays(T, x + 0.01 * noise, states=["q", "p"])
+    truth = SPRING.with_values({"k": k, "R_p": 0.1})
+    return recorded(truth, T, [1.0, 0.0], seed=1)
 
 
 def is_quiet() -> bool:
@@ -44,24 +38,28 @@ def is_quiet() -> bool:
     return handler is signal.default_int_handler and not is_noted()
 
 
-def test_the_solver_ends_after_the_iteration_in_which_ctrl_c_is_pressed(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("place", "step", "loss"), [
+    (ipopt._Listener, "eval", ph.MaximumLikelihood(huber=3.0)),  # by IPOPT
+    (JointProblem, "_lower", ph.MaximumLikelihood()),  # by full steps
+])  # fmt: skip
+def test_a_solve_ends_after_the_step_in_which_ctrl_c_is_pressed(
+    place: type, step: str, loss: ph.MaximumLikelihood, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    loss = ph.MaximumLikelihood(huber=3.0)  # with slack variables, which need IPOPT
     expected = ph.identify(SPRING, record(), loss).values
-    iterations = []
+    original = getattr(place, step)
+    was_noted = []
 
-    def pressed(listener: ipopt._Listener, arg: list[ca.DM]) -> list[int]:
-        iterations.append(is_noted())
-        if len(iterations) == 2:
+    def pressed(self: Any, *given: Any) -> Any:
+        was_noted.append(is_noted())
+        if len(was_noted) == 2:
             press()
-        return [int(is_noted())]
+        return original(self, *given)
 
     with monkeypatch.context() as patched:
-        patched.setattr(ipopt._Listener, "eval", pressed)
+        patched.setattr(place, step, pressed)
         with pytest.raises(KeyboardInterrupt):
             ph.identify(SPRING, record(), loss)
-    assert iterations == [False, False]
+    assert was_noted == [False, False]
     assert is_quiet()
     assert ph.identify(SPRING, record(), loss).values == expected
 
@@ -84,26 +82,6 @@ def test_reading_ends_where_a_called_library_loses_ctrl_c(
             ph.Measurements.from_csv(file, time="t", states=["q"])
     assert is_quiet()
     assert ph.Measurements.from_csv(file, time="t", states=["q"]).n_samples == 3
-
-
-def test_full_steps_end_where_ctrl_c_is_pressed(monkeypatch) -> None:
-    expected = ph.identify(SPRING, record()).values
-    lower = JointProblem._lower
-    begun = []
-
-    def pressed(problem: JointProblem, *given: Any) -> object:
-        begun.append(True)
-        if len(begun) == 2:
-            press()
-        return lower(problem, *given)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(JointProblem, "_lower", pressed)
-        with pytest.raises(KeyboardInterrupt):
-            ph.identify(SPRING, record())
-    assert len(begun) == 2
-    assert is_quiet()
-    assert ph.identify(SPRING, record()).values == expected
 
 
 def test_an_interrupt_that_became_another_error_or_none_is_raised_as_what_it_is() -> (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from tests.machines import NOISE, STARTS, TIMES, damped_spring, swings
+from tests.systems import NOISE, STARTS, TIMES, damped_spring, swings
 
 WITH_FRICTION = "0.1 + 0.08*(p**4 + 0.03**4)**(-0.25)"
 

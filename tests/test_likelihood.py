@@ -18,6 +18,7 @@ from phsi_opt.model.terms import Dictionary
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
+from tests.systems import Number, pair, positive, spring
 
 TRUTH = {"k": 1.2, "a": 0.8, "c": 0.15}
 NOISE = 0.01
@@ -27,17 +28,9 @@ def duffing(
     sensor: dict[str, Dictionary] | None = None, **starts: ph.Parameter
 ) -> ph.PseudoHamiltonian:
     """A driven Duffing oscillator with free k, a, c."""
-    c = ph.Parameter(0.1, lower=0.0)
-    start = {"k": ph.Parameter(1.0), "a": ph.Parameter(1.0), "c": c, **starts}
-    return ph.PseudoHamiltonian(
-        states=("q", "p"),
-        inputs=("u",),
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + a*q**4/4 + p**2/2", k=start["k"], a=start["a"]),
-        R={"p": ph.formula("c", c=start["c"])},
-        F={"p": "u"},
-        sensor=sensor or {},
-    )
+    start = {"k": ph.Parameter(1.0), "a": ph.Parameter(1.0), "c": positive(0.1)}
+    energy = "k*q**2/2 + a*q**4/4 + p**2/2"
+    return pair(energy, "c", "u", sensor=sensor, **(start | starts))
 
 
 def record(
@@ -99,15 +92,8 @@ MASSES = {"run 1": 1.0, "run 2": 1.5, "run 3": 2.2}
 OWN_MASS = ph.Parameter(1.2, lower=0.1, per_trajectory=True)
 
 
-def loaded(
-    mass: ph.Parameter | float, k: ph.Parameter | float = 3.0
-) -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=("q", "p"),
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=mass),
-        R={"p": ph.formula("c", c=ph.Parameter(0.1, lower=0.0))},
-    )
+def loaded(mass: Number, k: Number = 3.0) -> ph.PseudoHamiltonian:
+    return spring(k, positive(0.1), mass)
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,29 +18,17 @@ from phsi_opt.optimization.ipopt import DIRECT_STEPS
 from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks import chains
 from problems.benchmarks.peer_problems import PROBLEMS, drawn
+from tests import systems
+from tests.systems import Number, pair, positive, recorded
 
 T = np.linspace(0.0, 20.0, 201)
 NOISE = 0.02
 MANY_MASSES = 16
 BY_IPOPT = ph.SolverSettings(solver="ipopt")
-Number = ph.Parameter | float
-
-
-def oscillator(H: str, R: Any) -> ph.PseudoHamiltonian:
-    terms = R if not isinstance(R, str) else ph.formula(R)
-    energy = ph.formula(H) if isinstance(H, str) else H
-    return ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=energy, R={"p": terms}
-    )
 
 
 def spring(k: Number, c: Number, m: Number = 1.5) -> ph.Model:
-    energy: Any = ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=m)
-    return oscillator(energy, ph.formula("c", c=c))
-
-
-def positive(start: float, **bounds: float) -> ph.Parameter:
-    return ph.Parameter(start, **{"lower": 0.0, **bounds})  # type: ignore[arg-type]
+    return systems.spring(k, c, m)
 
 
 def unknown(k: float = 1.0, c: float = 0.1) -> ph.Model:
@@ -51,11 +38,9 @@ def unknown(k: float = 1.0, c: float = 0.1) -> ph.Model:
 def swinging(
     truth: ph.Model | None = None, *, only_q: bool = True, seed: int = 0
 ) -> ph.Measurements:
-    x = ph.simulate(truth or spring(1.7, 0.15), T, [1.0, 0.0])
-    y = x + NOISE * np.random.default_rng(seed).normal(size=x.shape)
-    if only_q:
-        y[:, 1] = np.nan
-    return ph.Measurements.from_arrays(T, y, states=["q", "p"])
+    truth = truth or spring(1.7, 0.15)
+    shown = "q" if only_q else "qp"
+    return recorded(truth, T, [1.0, 0.0], noise=NOISE, seed=seed, shown=shown)
 
 
 def assert_same(fit: ph.Fit, other: ph.Fit, share: float) -> None:
@@ -177,9 +162,7 @@ def test_a_bound_at_which_the_model_has_no_values_is_not_stepped_on() -> None:
     def lag(tau: Number) -> ph.Model:
         return ph.FirstOrder(["x"], {"x": ph.formula("(1 - x)/tau", tau=tau)})
 
-    x = ph.simulate(lag(1.0), T, [0.0])
-    y = x + NOISE * np.random.default_rng(0).normal(size=x.shape)
-    data = ph.Measurements.from_arrays(T, y, states=["x"])
+    data = recorded(lag(1.0), T, [0.0], noise=NOISE)
     # A second step from here would end at zero.
     far = (ph.simulate(lag(6.0), T, [0.0]),)
     slow = replace(ph.identify(lag(1.0), data), states=far)
@@ -240,19 +223,13 @@ def rubbing(corner: float, friction: Number, damping: Number) -> ph.Model:
     ``corner``.
     """
     loss = "c + f*(dH_dp**4 + v0**4)**(-1/4)"
-    terms = ph.formula(loss, c=damping, f=friction, v0=corner)
-    return oscillator("1.7*q**2/2 + p**2/2", terms)
+    return pair("1.7*q**2/2 + p**2/2", loss, c=damping, f=friction, v0=corner)
 
 
 def rubbed(corner: float) -> ph.Measurements:
     """Positions of two runs that come to rest away from the middle."""
-    rng = np.random.default_rng(0)
-    runs = []
-    for x0 in STARTS:
-        x = ph.simulate(rubbing(corner, FRICTION, DAMPING), STUCK_TIMES, x0)
-        runs.append(x + FINE_NOISE * rng.normal(size=x.shape))
-        runs[-1][:, 1] = np.nan
-    return ph.Measurements.from_arrays([STUCK_TIMES] * 2, runs, states=["q", "p"])
+    truth = rubbing(corner, FRICTION, DAMPING)
+    return recorded(truth, STUCK_TIMES, *STARTS, noise=FINE_NOISE, shown="q")
 
 
 def friction_and_damping_free(corner: float) -> ph.Model:
@@ -292,33 +269,3 @@ def test_a_fit_is_the_same_to_the_bit_whatever_was_fitted_before() -> None:
         assert fit.values == warm.values
         np.testing.assert_array_equal(fit.covariance, warm.covariance)
         np.testing.assert_array_equal(fit.states[0], warm.states[0])
-
-
-def test_steps_come_to_no_place_that_is_worse_than_a_previous_one_in_both(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Neither in the objective nor in the violations, at a corner that is sharp."""
-    data = swinging(rubbing(0.01, 0.2, 0.1), seed=3)
-    free = [ph.Parameter(start, lower=0) for start in (0.1, 0.2)]
-    blunt = ph.identify(rubbing(0.2, *free), data)
-    passed: list[list[tuple[float, float]]] = []
-    problem = joint_estimate.JointProblem
-    step, search = problem._lower, problem.optimum
-
-    def noted(self: Any, place: Any, *arguments: Any) -> Any:
-        passed[-1].append((place.objective, place.missed))
-        return step(self, place, *arguments)
-
-    def begun(self: Any, *arguments: Any, **options: Any) -> Any:
-        passed.append([])
-        return search(self, *arguments, **options)
-
-    monkeypatch.setattr(problem, "_lower", noted)
-    monkeypatch.setattr(problem, "optimum", begun)
-    ph.identify(rubbing(0.004, *free), data, start=blunt)
-    longest = max(passed, key=len)
-    assert len(longest) > 5
-    for number, (objective, missed) in enumerate(longest):
-        for before, missed_before in longest[:number]:
-            is_same = (objective, missed) == (before, missed_before)
-            assert is_same or objective < before or missed < missed_before

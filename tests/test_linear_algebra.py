@@ -1,7 +1,6 @@
 """Factors along the time and steps of the parameters, against dense linear algebra."""
 
-from collections.abc import Iterator
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 import pytest
@@ -13,10 +12,8 @@ from phsi_opt.optimization.banded import (
     Banded,
     BandLayout,
     Chained,
-    Passage,
 )
 from phsi_opt.optimization.bounded_step import (
-    RIDGE,
     Room,
     bounded_least_squares,
     bounded_step,
@@ -51,18 +48,6 @@ def test_banded_factors_solve_what_dense_ones_solve(below: int, above: int) -> N
         transposed = np.linalg.solve(matrix.T, one)
         np.testing.assert_allclose(factors.solve(one, True), transposed)
     assert factors.log_abs_det == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-12)
-
-
-@pytest.mark.parametrize("n_columns", [1, 2, 5])
-def test_a_symmetric_matrix_is_solved_by_its_transposed_factors(n_columns: int) -> None:
-    rng = np.random.default_rng(6)
-    n = 40
-    matrix = np.triu(np.tril(rng.normal(size=(n, n)), 3), -3)
-    right = rng.normal(size=(n, n_columns))
-    for one, is_symmetric in ((matrix + matrix.T, True), (matrix, False)):
-        factors = factors_of(one, np.arange(n), is_symmetric)
-        expected = np.linalg.solve(one, right)
-        np.testing.assert_allclose(factors.solve(right), expected, rtol=1e-8)
 
 
 def test_a_singular_system_is_refused() -> None:
@@ -118,119 +103,7 @@ def test_cholesky_factors_solve_what_those_of_the_band_solve(steps: int) -> None
     assert chained.log_abs_det == pytest.approx(whole.log_abs_det, abs=1e-8)
 
 
-def test_what_samples_do_not_measure_takes_the_band() -> None:
-    lacking, ending = System(3, [4], 1), System(3, [4], 1)
-    lacking.curvature[1, 1] = 0.0
-    ending.curvature[-1] = 0.0
-    assert lacking.factors() is None and ending.factors() is None
-
-
-# ---- dynamics over gaps, against dense algebra gap by gap
-
-N_STEPS = (1, 3, 2, 3)  # of the gaps of a run, and of another one from the third on
-
-
-class Gaps:
-    """Two runs with nodes between samples; states touch those within some reach."""
-
-    def __init__(self, n: int, reach: int, strength: float = 0.1) -> None:
-        rng = np.random.default_rng(0)
-        self.n = n
-        is_sample: list[bool] = []
-        begin: list[int] = []
-        for n_steps in (N_STEPS[:2], N_STEPS[2:]):
-            is_sample.append(True)
-            for steps in n_steps:
-                for step in range(steps):
-                    begin.append(len(is_sample) - 1)
-                    is_sample.append(step == steps - 1)
-        self.begin = np.array(begin)
-        self.is_sample = np.array(is_sample)
-        place = rng.permutation(n)
-        touches = np.abs(np.subtract.outer(place, place)) <= reach
-        noise = rng.normal(size=(2, len(begin), n, n)) * strength / reach
-        self.before, self.after = touches * noise + np.array(
-            [-np.eye(n)[None], np.eye(n)[None]]
-        )
-        self.right = rng.normal(size=(len(begin) * n, 2))
-        self.forces = rng.uniform(0.5, 1.0, (len(begin), n))
-
-    def passage(self) -> Passage:
-        n, n_intervals = self.n, len(self.begin)
-        slopes = np.zeros((n_intervals, n, len(self.is_sample), n))
-        for interval, node in enumerate(self.begin):
-            slopes[interval, :, node] = self.before[interval]
-            slopes[interval, :, node + 1] = self.after[interval]
-        matrix = csr_matrix(slopes.reshape(n_intervals * n, -1))
-        return Passage(matrix, self.begin, self.is_sample, n)
-
-    def held(self) -> csr_matrix:
-        """Effects of forces that are held over each gap."""
-        n, n_intervals = self.n, len(self.begin)
-        effects = np.zeros((n_intervals, n, len(N_STEPS), n))
-        gap = np.repeat(np.arange(len(N_STEPS)), N_STEPS)
-        for interval in range(n_intervals):
-            effects[interval, :, gap[interval]] = np.diag(self.forces[interval])
-        return csr_matrix(effects.reshape(n_intervals * n, -1))
-
-    def over_each(self) -> Iterator[tuple[np.ndarray, ...]]:
-        """Of each gap: slopes at begin and end, right-hand sides, effect of forces."""
-        right = self.right.reshape(len(self.begin), self.n, 2)
-        for first, limit in pairwise(np.cumsum([0, *N_STEPS])):
-            before, own = self.before[first], right[first]
-            effect = np.diag(self.forces[first])
-            for k in range(first + 1, limit):
-                on = self.before[k] @ np.linalg.inv(self.after[k - 1])
-                before, own = -on @ before, right[k] - on @ own
-                effect = np.diag(self.forces[k]) - on @ effect
-            yield before, self.after[limit - 1], own, effect
-
-
-@pytest.mark.parametrize(("n", "reach"), [(3, 3), (60, 60), (150, 1)])
-def test_gaps_are_those_of_dense_algebra(n: int, reach: int) -> None:
-    gaps = Gaps(n, reach)
-    passed = gaps.passage()
-    slopes, right = passed.slopes().toarray(), passed.over(gaps.right)
-    effects = passed.over_blocks(gaps.held()).toarray()
-    sample = np.cumsum(gaps.is_sample) - 1
-    of_first = sample[gaps.begin[gaps.is_sample[gaps.begin]]]
-    expected_slopes = np.zeros_like(slopes)
-    expected_effects = np.zeros_like(effects)
-    for gap, (before, after, own, effect) in enumerate(gaps.over_each()):
-        rows = slice(gap * n, gap * n + n)
-        begin = of_first[gap] * n
-        expected_slopes[rows, begin : begin + n] = before
-        expected_slopes[rows, begin + n : begin + 2 * n] = after
-        expected_effects[rows, rows] = effect
-        np.testing.assert_allclose(right[rows], own, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(slopes, expected_slopes, rtol=1e-9, atol=1e-14)
-    np.testing.assert_allclose(effects, expected_effects, rtol=1e-9, atol=1e-14)
-
-
 # ---- the covariance of parameters
-
-
-def test_information_is_inverted_and_a_ridge_holds_what_has_none() -> None:
-    rng = np.random.default_rng(2)
-    root = 1e-2 * rng.normal(size=(3, 3))
-    information = root @ root.T
-    expected = np.linalg.inv(information)
-    np.testing.assert_allclose(regularized_inverse(information), expected, rtol=1e-3)
-    along, across = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
-    # What rounds below zero counts as zero.
-    flat = 4.0 * np.outer(along, along) - 1e-3 * np.outer(across, across)
-    expected = np.outer(along, along) / 4.0 + np.outer(across, across) / RIDGE
-    np.testing.assert_allclose(regularized_inverse(flat), expected, rtol=1e-5)
-
-
-def test_a_parameter_that_is_held_does_not_move_the_others() -> None:
-    root = np.random.default_rng(3).normal(size=(3, 3))
-    information = root @ root.T
-    covariance = regularized_inverse(information, held=[1])
-    assert covariance[1, 1] == pytest.approx(1e-12, rel=1e-6)
-    others = np.ix_([0, 2], [0, 2])
-    expected = np.linalg.inv(information[others])
-    np.testing.assert_allclose(covariance[others], expected, rtol=1e-6)
 
 
 def test_information_that_is_no_number_is_refused_with_what_to_do() -> None:

@@ -30,9 +30,10 @@ from phsi_opt.model_error.disturbances import (
     smooth_functions,
 )
 from phsi_opt.model_error.marginal_likelihood import Border
-from phsi_opt.model_error.standard_errors import Clusters, Source, degrees_of_freedom
+from phsi_opt.model_error.standard_errors import Clusters, Source
 from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks import chains
+from tests.systems import Number, pair, positive
 
 TRUE = {"k": 4.0, "c": 0.3, "g": 1.0}
 SIZE = 0.2  # of the hidden force, a tenth of the typical acceleration
@@ -243,19 +244,6 @@ def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(huber) ->
     assert np.mean(agreement) == pytest.approx(0.5, abs=0.3)
 
 
-@pytest.mark.parametrize("loss", [ph.MaximumLikelihood(), WITH_FORCE])
-def test_two_calls_give_the_same_bits(loss: ph.MaximumLikelihood) -> None:
-    one = ph.identify(oscillator(), record(1), loss)
-    other = ph.identify(oscillator(), record(1), loss)
-    assert one.values == other.values
-    assert one.model_error_rows == other.model_error_rows
-    assert one.has_model_error == other.has_model_error
-    assert one.bic == other.bic
-    for source, covariance in one.covariances.items():
-        np.testing.assert_array_equal(covariance, other.covariances[source])
-    np.testing.assert_array_equal(one.degrees_of_freedom, other.degrees_of_freedom)
-
-
 def test_intervals_use_the_degrees_of_freedom_of_each_standard_error() -> None:
     fit = plain_fit(0)
     freedom = fit.degrees_of_freedom
@@ -436,33 +424,6 @@ def test_the_jackknife_leaves_out_one_trajectory_at_a_time() -> None:
     np.testing.assert_allclose(two.jackknife(), expected[:2, :2], rtol=1e-6)
 
 
-def of_chi_squares(freedom: np.ndarray, weights: np.ndarray) -> float:
-    """Freedom of a sum of two variances that are estimated from normals."""
-    information = np.diag(2 * freedom)
-
-    def log_variances(x: np.ndarray) -> np.ndarray:
-        return np.array([np.log(weights @ np.exp(2 * x))])
-
-    is_free = np.array([True, True])
-    found = degrees_of_freedom(information, log_variances, is_free)
-    return float(found[0])
-
-
-@pytest.mark.parametrize("weights", [(1.0, 0.0), (1.0, 1.0), (0.2, 1.0)])
-def test_degrees_of_freedom_are_those_of_the_chi_square_that_scatters_alike(
-    weights: tuple[float, float],
-) -> None:
-    freedom = np.array([12.0, 40.0])
-    both = np.array(weights)
-    found = of_chi_squares(freedom, both)
-    closed_form = both.sum() ** 2 / np.sum(both**2 / freedom)
-    assert found == pytest.approx(closed_form, rel=0.02)  # of finite differences
-    rng = np.random.default_rng(8)
-    draws = rng.chisquare(freedom, size=(200_000, 2)) / freedom @ both
-    simulated_freedom = 2 * np.mean(draws) ** 2 / np.var(draws)
-    assert found == pytest.approx(simulated_freedom, rel=0.04)
-
-
 def test_what_is_missing_is_looked_for_without_a_force_that_hides_it() -> None:
     fit = forced_fit(0)
     effects = [e for e in ph.catalogue(fit.model) if e.name == "cubic stiffness"]
@@ -498,18 +459,9 @@ def spring(
     **values: ph.Parameter,
 ) -> ph.PseudoHamiltonian:
     """A damped spring with a known mass, a sensor's formula or a force more."""
-    known: dict[str, ph.Parameter | float] = {
-        "k": ph.Parameter(40.0, lower=0),
-        "m": 2.5,
-    }
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula(energy, **(known | values)),
-        R=ph.damping("p"),
-        F={} if F is None else {"p": F},
-        sensor={} if sensor is None else {"q": sensor},
-    )
+    known: dict[str, Number] = {"k": positive(40.0), "m": 2.5}
+    shown = {} if sensor is None else {"q": sensor}
+    return pair(energy, ph.damping("p"), F, sensor=shown, **(known | values))
 
 
 ENERGY = "k*q**2/2 + p**2/(2*m)"

@@ -1,19 +1,19 @@
 """The marginal likelihood beside a model, against other ways to the same numbers.
 
 - dense Gaussian algebra on the same discrete model, for every kind of disturbance,
-- the state space filter and smoother of statsmodels, of the same discrete model and of
-  the continuous system.
+- the Kalman filter of statsmodels, of the continuous system.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, expm, hadamard
 from scipy.optimize import minimize
+from statsmodels.tsa.statespace.initialization import Initialization
+from statsmodels.tsa.statespace.kalman_filter import KalmanFilter
 
 import phsi_opt as ph
 from phsi_opt.estimation.estimate import Task
@@ -32,8 +32,6 @@ from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.model_error.standard_errors import covariance_under
 from phsi_opt.optimization.bounded_step import REGULAR
 from phsi_opt.transcription.grid import AlignedData
-
-pytest.importorskip("statsmodels")
 
 NOISE = 0.05
 NONE = np.array([], dtype=int)  # parameters that move, where none does
@@ -188,7 +186,7 @@ class Dense:
             covariance += function.size**2 * slopes @ slopes.T
         return covariance
 
-    def log_evidence(self, d: Disturbances, moving: np.ndarray) -> float:
+    def log_evidence(self, d: Disturbances) -> float:
         """With starting states and parameters integrated out (REML)."""
         covariance = self.errors(d)
         log_det = np.linalg.slogdet(covariance)[1]
@@ -200,14 +198,14 @@ class Dense:
         misfit -= right @ np.linalg.solve(information, right)
         return float(-(misfit + log_det) / 2)
 
-    def log_likelihood(self, d: Disturbances, moving: np.ndarray) -> float:
+    def log_likelihood(self, d: Disturbances) -> float:
         """At the best parameters, with starting states integrated out."""
         inverse = np.linalg.inv(self.errors(d))
         of_all = np.linalg.slogdet(self.design.T @ inverse @ self.design)[1]
         of_start = np.linalg.slogdet(self.of_start.T @ inverse @ self.of_start)[1]
-        return self.log_evidence(d, moving) + float(of_all - of_start) / 2
+        return self.log_evidence(d) + float(of_all - of_start) / 2
 
-    def to_theta(self, d: Disturbances, moving: np.ndarray) -> np.ndarray:
+    def to_theta(self, d: Disturbances) -> np.ndarray:
         """Generalised least squares: from values to parameters, (n_moving, n_values)."""
         inverse = np.linalg.inv(self.errors(d))
         information = self.design.T @ inverse @ self.design
@@ -264,22 +262,6 @@ KINDS = (
 )
 
 
-@pytest.mark.parametrize("kind", ["white", "all"])
-def test_other_values_are_solved_for_by_the_same_factors(kind: str) -> None:
-    problem = problem_of("several runs")
-    d = cases(problem)[kind]
-    rng = np.random.default_rng(5)
-    residual = rng.normal(size=problem.n_values)
-    offset = rng.normal(size=len(problem.offset))
-    before = MarginalLikelihood(problem, d, np.arange(3)).at(d)
-    again = before.at_values(residual, offset).smoothed()
-    other = replace(problem, residual=residual, offset=offset)
-    expected = MarginalLikelihood(other, d, np.arange(3)).at(d).smoothed()
-    for name, values in vars(expected).items():
-        np.testing.assert_allclose(vars(again)[name], values, rtol=1e-6, atol=1e-9)
-    assert before.smoothed().theta != pytest.approx(again.theta)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", RECORDS)
 def test_the_evidence_is_that_of_dense_restricted_likelihood(name, kind) -> None:
@@ -292,12 +274,12 @@ def test_the_evidence_is_that_of_dense_restricted_likelihood(name, kind) -> None
     other = MarginalLikelihood(problem, white, moving)
 
     gain = one.at(d).log_evidence - other.at(white).log_evidence
-    expected = dense.log_evidence(d, moving) - dense.log_evidence(white, moving)
+    expected = dense.log_evidence(d) - dense.log_evidence(white)
     assert gain == pytest.approx(expected, abs=ROUNDING)
     assert abs(expected) > 0.5  # the cases differ
 
     gain = one.at(d).log_likelihood - other.at(white).log_likelihood
-    expected = dense.log_likelihood(d, moving) - dense.log_likelihood(white, moving)
+    expected = dense.log_likelihood(d) - dense.log_likelihood(white)
     assert gain == pytest.approx(expected, abs=ROUNDING)
 
 
@@ -312,7 +294,7 @@ def test_estimate_and_covariance_are_those_of_generalised_least_squares(
     dense = Dense.of(problem, places)
     d = cases(problem)[kind]
     found = MarginalLikelihood(problem, d, places).at(d)
-    to_theta = dense.to_theta(d, places)
+    to_theta = dense.to_theta(d)
     covariance = to_theta @ dense.errors(d) @ to_theta.T
     std_error = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(
@@ -330,7 +312,7 @@ def test_the_sandwich_of_an_estimate_is_that_of_dense_matrices(name, taken) -> N
     dense = Dense.of(problem, moving)
     estimate = cases(problem)[taken]
     truth = cases(problem)["all"]
-    to_theta = dense.to_theta(estimate, moving)
+    to_theta = dense.to_theta(estimate)
     expected = np.zeros((3, 3))
     expected[np.ix_(moving, moving)] = to_theta @ dense.errors(truth) @ to_theta.T
     response = MarginalLikelihood(problem, estimate, moving).at(estimate).response
@@ -381,56 +363,6 @@ def test_smoothed_is_the_best_linear_prediction(name: str, kind: str) -> None:
         expected.append(function.size**2 * slopes.T @ pull)
     wanted = np.concatenate([np.zeros(0), *expected])
     np.testing.assert_allclose(found.coefficients, wanted, rtol=1e-6, atol=1e-9)
-
-
-def test_a_trajectory_says_what_it_says_by_itself() -> None:
-    problem = problem_of("several runs, all steps")
-    moving = np.arange(3)
-    every = cases(problem)["sensors"]
-    d = replace(every, forces=(Process(1, 0.4, 0.7),))
-    parts = MarginalLikelihood(problem, d, moving).at(d).borders_by_trajectory()
-    for run, part in enumerate(parts):
-        piece = np.where(problem.grid.trajectory == run, 0, -1)
-        alone = replace(d, sigma=d.sigma[[run]])
-        cut = problem.cut(piece)
-        expected = MarginalLikelihood(cut, alone, moving).at(alone).border
-        np.testing.assert_allclose(part.information, expected.information, rtol=1e-8)
-        np.testing.assert_allclose(part.gradient, expected.gradient, rtol=1e-8)
-        assert part.constant == pytest.approx(expected.constant, rel=1e-9)
-
-
-def held_between_samples(fine: Linearization, force: Process, n: int) -> np.ndarray:
-    """What a force shows that is held from sample to sample, (n_values, n_values)."""
-    grid = fine.grid
-    dense = Dense.of(fine, NONE)
-    gap = np.cumsum(grid.sample)[grid.begin] - 1
-    _, gap = np.unique(gap, return_inverse=True)
-    to_steps = np.eye(n)[gap]
-    slopes = dense.force_slopes(force.place) @ to_steps
-    samples = grid.t[grid.sample]
-    same = np.diff(grid.trajectory[grid.sample]) == 0
-    middles = ((samples[1:] + samples[:-1]) / 2)[same]
-    runs = grid.trajectory[grid.sample][1:][same]
-    covariance: np.ndarray = slopes @ kernel(force, middles, runs) @ slopes.T
-    return covariance
-
-
-def test_one_interval_between_samples_is_the_same_record_with_a_force_held() -> None:
-    fine = problem_of("several runs, all steps")
-    coarse = problem_of("several runs")
-    assert fine.grid.n_intervals == 2 * coarse.grid.n_intervals
-    of_fine = Dense.of(fine, np.arange(3))
-    of_coarse = Dense.of(coarse, np.arange(3))
-    np.testing.assert_allclose(of_coarse.of_start, of_fine.of_start, atol=1e-10)
-    np.testing.assert_allclose(of_coarse.of_theta, of_fine.of_theta, atol=1e-10)
-    np.testing.assert_allclose(of_coarse.y, of_fine.y, atol=1e-10)
-    for force in (Process(1, 0.4, 0.7), Process(0, 0.05, 2.0)):
-        slopes = of_coarse.force_slopes(force.place)
-        grid = coarse.grid
-        middles = (grid.t[grid.begin] + grid.t[grid.begin + 1]) / 2
-        found = slopes @ kernel(force, middles, coarse.grid.runs) @ slopes.T
-        expected = held_between_samples(fine, force, grid.n_intervals)
-        np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
 # --- Slopes of the evidence, against differences of the dense one
@@ -503,7 +435,7 @@ def test_slopes_and_average_information_are_those_of_dense_algebra(
     for unit in SLOPE_STEP * np.eye(n):
         above = moved(d, unit, channels)
         below = moved(d, -unit, channels)
-        rise = dense.log_evidence(above, moving) - dense.log_evidence(below, moving)
+        rise = dense.log_evidence(above) - dense.log_evidence(below)
         gradient.append(rise / (2 * SLOPE_STEP))
         change = dense.errors(above) - dense.errors(below)
         in_errors.append(change / (2 * SLOPE_STEP))
@@ -534,40 +466,6 @@ def coordinates_of(d: Disturbances, channels: tuple[int, ...]) -> Coordinates:
     )
 
 
-@pytest.mark.parametrize("is_tied", [False, True])
-@pytest.mark.parametrize("kind", ["two forces", "all"])
-def test_slopes_in_coordinates_are_sums_of_those_that_move_together(
-    kind: str, is_tied: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    problem = problem_of("several runs, all steps")
-    d = cases(problem)[kind]
-    if is_tied:
-        monkeypatch.setattr("phsi_opt.model_error.disturbances.MOST_SIZES", 0)
-    coordinates = coordinates_of(d, (0, 1))
-    to_coordinates = coordinates.among_slopes()
-    likelihood = MarginalLikelihood(problem, d, np.arange(3))
-    single = ascent.slopes(likelihood, d, (0, 1))
-    summed = ascent.slopes(likelihood, d, (0, 1), to_coordinates)
-    information = to_coordinates @ single.information @ to_coordinates.T
-    np.testing.assert_allclose(summed.gradient, to_coordinates @ single.gradient)
-    np.testing.assert_allclose(summed.information, information, atol=1e-8)
-    units = np.eye(coordinates.bounds.shape[1])
-    for unit, row in zip(units, to_coordinates, strict=True):
-        expected = moved(d, 0.1 * row, (0, 1))
-        found = coordinates.at(0.1 * unit)
-        np.testing.assert_allclose(found.sigma, expected.sigma)
-        pairs = zip(
-            [*found.forces, *found.sensors],
-            [*expected.forces, *expected.sensors],
-            strict=True,
-        )
-        for one, other in pairs:
-            assert one.size == pytest.approx(other.size)
-            assert one.time == pytest.approx(other.time)
-        for ours, theirs in zip(found.functions, expected.functions, strict=True):
-            assert ours.size == pytest.approx(theirs.size)
-
-
 @pytest.mark.parametrize("kind", ["force", "sensors", "functions"])
 def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     problem = problem_of("one run")
@@ -580,7 +478,7 @@ def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     dense = Dense.of(problem, moving)
     white = cases(problem)["white"]
     constant = MarginalLikelihood(problem, white, moving).at(white).log_evidence
-    constant -= dense.log_evidence(white, moving)
+    constant -= dense.log_evidence(white)
     zeros = np.zeros(len(coordinates.bounds[0]))
 
     def negative_of(around: Coordinates) -> Callable[[np.ndarray], float]:
@@ -588,12 +486,12 @@ def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
 
         def negative(vector: np.ndarray) -> float:
             there = around.at(np.clip(vector, lower, upper))
-            return -dense.log_evidence(there, moving)
+            return -dense.log_evidence(there)
 
         return negative
 
     assert about is not None
-    here = dense.log_evidence(found.disturbances, moving)
+    here = dense.log_evidence(found.disturbances)
     assert found.log_evidence - constant == pytest.approx(here)
     best = minimize(negative_of(about), zeros, method="Nelder-Mead")
     from_start = minimize(negative_of(coordinates), zeros, method="Nelder-Mead")
@@ -604,19 +502,6 @@ def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     brief = ascent.climbed(likelihood, coordinates, 25, least_gain=0.2)
     assert found.log_evidence - 0.4 < brief.log_evidence
     assert brief.log_evidence <= found.log_evidence
-
-
-@pytest.mark.parametrize(("factor", "first"), [(0.03, 2.0), (100.0, -2.0)])
-def test_a_size_far_off_moves_by_two_logarithms_a_step(factor, first) -> None:
-    problem = problem_of("one run")
-    d = cases(problem)["force"]
-    (force,) = d.forces
-    d = replace(d, forces=(replace(force, size=factor * force.size),))
-    likelihood = MarginalLikelihood(problem, d, np.arange(3))
-    found = ascent.climbed(likelihood, coordinates_of(d, ()), most_steps=1)
-    (moved,) = found.disturbances.forces
-    assert np.log(moved.size / (factor * force.size)) == pytest.approx(first)
-    assert abs(np.log(moved.time / force.time)) < 2.0 and found.gain > 10
 
 
 def test_a_function_gains_what_the_evidence_rises_by() -> None:
@@ -641,8 +526,7 @@ def test_a_function_gains_what_the_evidence_rises_by() -> None:
         np.testing.assert_allclose(gains, expected, atol=1e-4)
 
 
-# --- The state space smoother of statsmodels: of the continuous system, and of the
-# discrete one that is linearised
+# --- The Kalman filter of statsmodels, of the continuous system
 
 
 @dataclass(frozen=True)
@@ -666,46 +550,28 @@ class Continuous:
         new = transition @ exponential[:3, 3:]
         return transition, (new + new.T) / 2
 
-    def smoothed(self, t: np.ndarray, y: np.ndarray, sigma: float) -> Any:
+    def log_likelihood(self, t: np.ndarray, y: np.ndarray, sigma: float) -> float:
+        """Of positions y (n,) with NaN where there is none, states flat at first."""
         steps = [self.step(dt) for dt in np.diff(t)] + [self.step(1.0)]
         transition, new = (
             np.stack(parts, axis=-1) for parts in zip(*steps, strict=True)
         )
-        seen = np.array([1.0, 0.0])
-        return smoothed_by_statsmodels(
-            y, seen, sigma, transition, np.eye(3), new, self.force.size
-        )
+        starting = Initialization(3, approximate_diffuse_variance=VARIANCE)
+        starting.set((0, 2), "approximate_diffuse")
+        known = [[self.force.size**2]]
+        starting.set(2, "known", constant=[0.0], stationary_cov=known)
+        kalman = KalmanFilter(k_endog=1, k_states=3, k_posdef=3)
+        kalman.bind(np.ascontiguousarray(y[:, None]))
+        kalman["design"] = np.array([[1.0, 0.0, 0.0]])
+        kalman["transition"] = transition
+        kalman["selection"] = np.eye(3)
+        kalman["state_cov"] = new
+        kalman["obs_cov"] = np.array([[sigma**2]])
+        kalman.initialize(starting)
+        return float(kalman.loglike())
 
 
 VARIANCE = 1e7  # of the starting states, whose natural size is one
-
-
-def smoothed_by_statsmodels(
-    y: np.ndarray,
-    seen: np.ndarray,
-    sigma: float,
-    transition: np.ndarray,
-    selection: np.ndarray,
-    new: np.ndarray,
-    size: float,
-    start: str = "approximate_diffuse",
-) -> Any:
-    """Two states and a force, from values y (n,) with NaN where there is none."""
-    from statsmodels.tsa.statespace.initialization import Initialization
-    from statsmodels.tsa.statespace.kalman_smoother import KalmanSmoother
-
-    starting = Initialization(3, approximate_diffuse_variance=VARIANCE)
-    starting.set((0, 2), start)
-    starting.set(2, "known", constant=[0.0], stationary_cov=[[size**2]])
-    smoother = KalmanSmoother(k_endog=1, k_states=3, k_posdef=selection.shape[1])
-    smoother.bind(np.ascontiguousarray(y[:, None]))
-    smoother["design"] = np.array([[*seen, 0.0]])
-    smoother["transition"] = transition
-    smoother["selection"] = selection
-    smoother["state_cov"] = new
-    smoother["obs_cov"] = np.array([[sigma**2]])
-    smoother.initialize(starting)
-    return smoother.smooth()
 
 
 def forced_record() -> ph.Measurements:
@@ -741,5 +607,6 @@ def test_the_likelihood_of_different_models_is_that_of_a_kalman_filter() -> None
         problem = estimate.linearized()
         k = float(estimate.theta[0])
         ours = MarginalLikelihood(problem, d, NONE).at(d).log_likelihood
-        there = Continuous(k, damping, force).smoothed(run.t, run.x[:, 0], NOISE)
-        assert ours == pytest.approx(there.llf + flat, abs=0.02)  # held over a step
+        system = Continuous(k, damping, force)
+        there = system.log_likelihood(run.t, run.x[:, 0], NOISE)
+        assert ours == pytest.approx(there + flat, abs=0.02)  # held over a step

@@ -12,13 +12,8 @@ import phsi_opt as ph
 from phsi_opt.learning.hybrid import (
     Hybrid,
     hybrid,
-    with_force,
-    with_signals,
-    without_signals,
 )
 from phsi_opt.learning.hybrid_network import NeuralForce
-from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.integrators import INTEGRATORS
 
 SMALL = NeuralForce(
     ("p",), ("q",), hidden=(20, 20), epochs=60, batch=64, learning_rate=5e-3
@@ -145,21 +140,3 @@ def test_a_damaged_file_is_refused(
 def test_bad_settings_are_refused(settings: dict, message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
         hybrid(model(), data(), NeuralForce(**settings))
-
-
-@pytest.mark.parametrize("rule", INTEGRATORS.values(), ids=list(INTEGRATORS))
-def test_the_inputs_of_a_force_pass_through_it_at_the_stages(rule) -> None:
-    grid = grid_of(data().split(0.2)[0])
-    rng = np.random.default_rng(3)
-    force = rng.normal(size=(grid.n_intervals, len(rule.shares), 1))
-    if rule.name == "rk4":
-        force[:, 2] = force[:, 1]  # both stages in the middle have one value
-    forced = with_signals(model(), ["p"], rule)
-    known = with_force(grid, force, rule)
-    base = model().rhs()([0.0, 0.0], [], 0.0, model().theta)
-    for k, share in enumerate(rule.shares):
-        u = known.u0 + share * (known.u1 - known.u0)
-        for i in (0, 7):
-            dx = forced.rhs()([0.0, 0.0], u[i], 0.0, forced.theta)
-            assert float(dx[1] - base[1]) == pytest.approx(force[i, k, 0], abs=1e-13)
-    assert without_signals(forced) == model()

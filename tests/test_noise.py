@@ -1,14 +1,17 @@
-"""The first estimate of the noise, which needs no model, and that of the residuals."""
+"""The noise: its first estimate, that of the residuals, and that of quantised sensors."""
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.data.channel_noise import lattice_step, resolution
 from phsi_opt.data.noise import difference_noise, initial_noise, scatter_by_run
+from phsi_opt.diagnosis.candidate import Grade
 from phsi_opt.estimation.noise_estimation import NoiseIteration, NoiseLevels
-from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.grid import grid_of
+from tests.systems import STARTS, damped_spring, positive, spring
 
 
 def one_channel(t: np.ndarray, y: np.ndarray) -> ph.Measurements:
@@ -79,66 +82,172 @@ def test_runs_whose_scatter_differs_have_noises_of_their_own() -> None:
         np.testing.assert_allclose(scatter_by_run(data)[:, 0], expected, rtol=1e-14)
 
 
-# ---- the noise that residuals show
-
-N_SAMPLES = 20_000
-N_THETA = 3
-SIGMA = np.array([0.1, 2.0])
-
-
-@pytest.fixture(scope="module")
-def grid() -> Grid:
-    x = np.random.default_rng(0).normal(size=(N_SAMPLES, 2))
+def test_the_noise_is_the_rms_residual_over_the_degrees_of_freedom() -> None:
+    n_theta, sigma = 3, np.array([0.1, 2.0])
+    x = np.random.default_rng(0).normal(size=(20_000, 2))
     x[::4, 1] = np.nan
-    t = np.arange(N_SAMPLES, dtype=float)
-    return grid_of(ph.Measurements.from_arrays(t, x, states=["q", "p"]))
-
-
-def updated(grid: Grid, residual: np.ndarray, **known: Any) -> np.ndarray:
-    of_program = residual * np.sqrt(2 / grid.measured.sum())
-    return iteration(grid, **known).updated(SIGMA, of_program)
-
-
-def iteration(
-    grid: Grid,
-    *is_estimated: bool,
-    is_penalized: bool = False,
-    huber: float | None = None,
-) -> NoiseIteration:
-    estimated = np.array(is_estimated or (True, True))
-    levels = NoiseLevels(np.ones(2), ~estimated, np.zeros(2))
-    return NoiseIteration(grid, levels, N_THETA, huber, is_penalized)
-
-
-def residuals(grid: Grid, *factors: float) -> np.ndarray:
-    """Normal residuals of the measured values, of standard deviation per channel."""
-    normal = np.random.default_rng(1).normal(size=len(grid.channel))
-    return np.array(factors)[grid.channel] * normal
-
-
-def test_the_noise_is_the_rms_residual_over_the_degrees_of_freedom(grid: Grid) -> None:
-    residual = residuals(grid, 1.0, 1.0)
+    t = np.arange(20_000.0)
+    grid = grid_of(ph.Measurements.from_arrays(t, x, states=["q", "p"]))
     n_values = grid.measured.sum()
-    freedom = n_values - N_THETA - 2  # two starting states of one trajectory
+    residual = np.random.default_rng(1).normal(size=len(grid.channel))
+    levels = NoiseLevels(np.ones(2), np.zeros(2, dtype=bool), np.zeros(2))
+    iteration = NoiseIteration(grid, levels, n_theta, None, False)
+    found = iteration.updated(sigma, residual * np.sqrt(2 / n_values))
+    freedom = n_values - n_theta - 2  # two starting states of one trajectory
     squares = [np.mean(residual[grid.channel == k] ** 2) for k in range(2)]
-    expected = SIGMA * np.sqrt(np.array(squares) * n_values / freedom)
-    np.testing.assert_allclose(updated(grid, residual), expected, rtol=1e-12)
+    expected = sigma * np.sqrt(np.array(squares) * n_values / freedom)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def test_residuals_cut_at_hubers_limit_show_the_noise_of_the_uncut_ones(grid) -> None:
-    residual = np.clip(residuals(grid, 1.0, 1.0), -1.345, 1.345)
-    # 15 000 values tell a standard deviation to 0.6 %; uncorrected it is 16 % too low.
-    found = updated(grid, residual, huber=1.345)
-    np.testing.assert_allclose(found, SIGMA, rtol=0.02)
+# ---- quantised sensors: the step from the values alone, and the noise that it makes
+
+T = np.linspace(0.0, 14.0, 281)
+PER_STEP = 1 / np.sqrt(12)
 
 
-def test_a_common_factor_of_all_noise_leaves_the_estimates_but_not_under_l1(
-    grid: Grid,
-) -> None:
-    doubled, one_doubled = 2 * SIGMA, SIGMA * np.array([1.0, 2.0])
-    assert iteration(grid).change(SIGMA, doubled) == pytest.approx(0, abs=1e-12)
-    assert iteration(grid, is_penalized=True).change(SIGMA, doubled) == np.log(2)
-    assert iteration(grid, huber=1.345).change(SIGMA, doubled) == np.log(2)
-    assert iteration(grid, False, True).change(SIGMA, doubled) == np.log(2)
-    assert iteration(grid).change(SIGMA, one_doubled) == pytest.approx(np.log(2))
-    assert iteration(grid, is_penalized=True).change(SIGMA, 1.001 * SIGMA) < 0.0011
+def rounded_to(step: float, values: np.ndarray) -> np.ndarray:
+    return step * np.round(values / step)
+
+
+def decaying(n: int = 500) -> np.ndarray:
+    t = np.linspace(0.0, 20.0, n)
+    return np.exp(-0.05 * t) * np.cos(1.5 * t)
+
+
+# ---- the step of a quantised sensor
+
+TENTHS = rounded_to(0.1, decaying())
+OFFSETS = [TENTHS, TENTHS + np.pi, TENTHS - 0.123]  # of the trajectories
+INCH = 0.0254
+QUANTISED: list[tuple[list[np.ndarray], float]] = [
+    (OFFSETS, 0.1),
+    ([*OFFSETS, decaying()], 0.0),
+    ([TENTHS / INCH], 0.1 / INCH),
+    ([TENTHS[250:], np.r_[np.nan, TENTHS[:250]]], 0.1),  # in another order
+    ([np.round(decaying(), 2)], 0.01),
+]
+for step in 2.0 / np.array([2, 8, 30, 300, 3000]):
+    for offset in (0.0, 273.15, -1.7):
+        QUANTISED.append(([offset + rounded_to(step, decaying())], step))
+
+
+@pytest.mark.parametrize(("runs", "step"), QUANTISED)
+def test_the_step_is_found_whatever_offset_unit_and_order(runs, step) -> None:
+    assert resolution(runs) == pytest.approx(step, rel=1e-6)
+
+
+def test_printed_digits_do_not_hide_the_step_of_the_converter() -> None:
+    values = np.round(rounded_to(0.0322265625, 30 * decaying(2000)), 2)
+    # A thousand steps, each printed to a sixth of a step at most.
+    assert resolution([values]) == pytest.approx(0.0322265625, rel=1e-3)
+
+
+CONTINUOUS: dict[str, Callable[[], np.ndarray]] = {
+    "smooth": decaying,
+    "single precision": lambda: decaying().astype(np.float32).astype(float),
+    "noisy": lambda: decaying() + np.random.default_rng(0).normal(size=500),
+    "six digits": lambda: np.array([float(f"{v:.6g}") for v in decaying()]),
+    "evenly rising": lambda: np.linspace(0.0, 20.0, 500),
+    "whole squares": lambda: np.arange(500.0) ** 2,
+    "periodic": lambda: np.cos(2 * np.pi * np.arange(500) / 20),
+    "held": lambda: np.repeat(np.random.default_rng(0).normal(size=100), 5),
+    "clipped": lambda: np.clip(decaying(), -0.3, 0.3),
+    "constant": lambda: np.full(500, 21.5),
+    "exactly periodic": lambda: np.tile(decaying(25), 20),
+    "few": lambda: np.array([0.0, 1.0, 2.0, 1.0, 0.0]),
+    "nothing": lambda: np.full(500, np.nan),
+}
+
+
+@pytest.mark.parametrize("kind", CONTINUOUS)
+def test_what_is_not_quantised_has_no_step(kind: str) -> None:
+    values = CONTINUOUS[kind]()
+    assert resolution([values]) == 0.0
+    assert resolution([values, values]) == 0.0
+
+
+def test_few_values_that_lie_evenly_by_chance_have_no_step() -> None:
+    values = np.array([0.0, 1.0, 2.05])
+    assert lattice_step(values, 0.05) == 0.0
+    assert lattice_step(values[:2], 0.05) == 1.0
+    assert lattice_step(np.arange(9.0), 0.05) == pytest.approx(1.0)
+
+
+# ---- the noise that it makes ---------------------------------------------------------
+
+
+def truth(friction: float = 0.0) -> ph.PseudoHamiltonian:
+    return damped_spring(loss=f"0.1 + {friction}*(p**4 + 0.03**4)**(-0.25)")
+
+
+def base() -> ph.PseudoHamiltonian:
+    return spring(positive(2.0))
+
+
+def quantised(
+    model: ph.PseudoHamiltonian,
+    step: float,
+    *,
+    noise: float = 0.0,
+    hidden: bool = True,
+    declared: dict[str, float] | None = None,
+    seed: int = 0,
+) -> ph.Measurements:
+    """Oscillations of which q was quantised; p is not, or was never measured."""
+    rng = np.random.default_rng(seed)
+    runs = []
+    for x0 in STARTS:
+        x = ph.simulate(model, T, x0)
+        x = x + noise * rng.normal(size=x.shape)
+        x[:, 0] = rounded_to(step, x[:, 0])
+        if hidden:
+            x[:, 1] = np.nan
+        runs.append(x)
+    return ph.Measurements.from_arrays(
+        [T] * 3, runs, states=["q", "p"], units={"q": "mm"}, noise=declared
+    )
+
+
+@pytest.mark.parametrize("n_levels", [2, 30])
+def test_no_noise_below_the_steps_is_found(n_levels: int) -> None:
+    step = 2.0 / n_levels
+    train, test = quantised(truth(), step).split(0.6)
+    fit = ph.identify(base(), train)
+    assert fit.noise["q"] >= step * PER_STEP * (1 - 1e-6)
+    # A step of half the motion is a coarse look at it; uniform errors are then a guess.
+    assert fit.noise["q"] < 1.3 * step * PER_STEP
+    compared = ph.compare(fit, test)
+    assert compared.noise_floor == pytest.approx(step * PER_STEP, rel=0.05)
+    assert np.isfinite(compared.table["chi2_dof"]).all()
+
+
+def test_a_fit_names_the_channel_whose_steps_set_its_noise() -> None:
+    # The residuals of this record are a little smaller than uniform errors.
+    fit = ph.identify(base(), quantised(truth(), 2 / 30).split(0.6)[0])
+    assert fit.noise["q"] == pytest.approx(2 / 30 * PER_STEP, rel=1e-6)
+    assert (
+        "the values of q are quantised in steps of 0.0667 mm: the noise is taken as at "
+        "least 0.019 mm" in fit.warnings
+    )
+    noisy = ph.identify(base(), quantised(truth(), 2 / 30, noise=0.05))
+    assert noisy.noise["q"] > 0.05
+    assert not any("quantised" in warning for warning in noisy.warnings)
+
+
+def test_steps_coarser_than_the_motion_are_not_taken_for_an_effect() -> None:
+    train, test = quantised(truth(), 1.0).split(0.6)
+    effects = ["coulomb friction", "quadratic drag", "cubic stiffness"]
+    fit = ph.identify(base(), train)
+    assert any(
+        "the standard deviation of q is less than its quantisation step" in w
+        for w in fit.warnings
+    )
+    found = ph.diagnose(fit, train, test, effects=effects)
+    # The best candidate, dry friction, explains what three values leave.
+    assert found.ranking[0].grade == Grade.DECISIVE
+    assert found.verdict is ph.Verdict.UNEXPLAINED
+    assert (
+        "the quantisation of q, whose standard deviation is less than one step"
+        in found.reason
+    )
+    assert found.proposed == ()

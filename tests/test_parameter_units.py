@@ -19,6 +19,7 @@ from phsi_opt.presentation.units import (
     scale_of,
 )
 from phsi_opt.screening.effect_size import size_unit
+from tests.systems import pair
 
 LENGTHS = {"t": "s", "q": "m", "p": "kg m/s", "u": "N"}
 ANGLES = {"t": "s", "q": "rad", "p": "kg m^2/s"}
@@ -35,25 +36,11 @@ def free(*names: str) -> dict[str, ph.Parameter]:
 
 
 def spring(energy: str = "p**2/(2*m) + k*q**2/2") -> ph.PseudoHamiltonian:
-    names = {"p**2/(2*m) + k*q**2/2": ("m", "k")}.get(energy, ("k",))
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula(energy, **free(*names)),
-        R={},
-        F={"p": "u"},
-        inputs=["u"],
-    )
+    return pair(energy, F="u", **free("m", "k"))
 
 
 def pendulum() -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("p**2/(2*J) - w*cos(q)", **free("J", "w")),
-        R=ph.damping("p"),
-        F={},
-    )
+    return pair("p**2/(2*J) - w*cos(q)", ph.damping("p"), **free("J", "w"))
 
 
 def house() -> ph.FirstOrder:
@@ -282,10 +269,7 @@ def test_a_number_that_may_have_a_unit_of_its_own_leaves_the_unit_open() -> None
 
 def test_a_unit_that_the_model_states_is_kept_and_tells_the_others() -> None:
     mass = ph.Parameter(1.0, unit="kg")
-    energy = ph.formula("p**2/(2*m) + k*q**2/2", m=mass, k=ph.Parameter(1.0))
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=energy, R={}, F={}
-    )
+    model = pair("p**2/(2*m) + k*q**2/2", m=mass, k=ph.Parameter(1.0))
     assert parameter_units(model, {"t": "s", "q": "m"}) == {"m": "kg", "k": "N/m"}
 
 

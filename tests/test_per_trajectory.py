@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
+from tests.systems import pair
 
 T = np.arange(0, 8, 0.1)
 STARTS = ([1.2, 0.0], [-0.9, 0.4], [0.7, -1.0], [-1.0, 0.2])
@@ -57,8 +58,7 @@ WITH_OWN: dict[str, dict[str, Any]] = {
 
 
 def spring(**slots: Any) -> ph.PseudoHamiltonian:
-    known: dict[str, Any] = {"H": ENERGY, "R": ph.damping("p"), **slots}
-    return ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), **known)
+    return pair(**{"H": ENERGY, "R": ph.damping("p"), **slots})
 
 
 SLOW_SISTERS = [pytest.param(slot, marks=pytest.mark.slow) for slot in ("H", "F")]

@@ -8,6 +8,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.sweeps.local_workers import InThisProcess
+from tests.systems import recorded
 
 T = np.arange(0.0, 10.0, 0.1)
 U = np.sin(T)[:, None]
@@ -20,11 +21,8 @@ def decay(prior: tuple[float, float] | None = None, **settings) -> ph.FirstOrder
 
 
 def record(seed: int = 1, n_runs: int = 1) -> ph.Measurements:
-    random = np.random.default_rng(seed)
-    exact = ph.simulate(decay().with_fixed({"r": TRUTH}), T, [1.0], u=U)
-    x = [exact + 0.1 * random.normal(size=exact.shape) for _ in range(n_runs)]
-    times, inputs = [T] * n_runs, [U] * n_runs
-    return ph.Measurements.from_arrays(times, x, u=inputs, states=["x"], inputs=["u"])
+    truth = decay().with_fixed({"r": TRUTH})
+    return recorded(truth, T, *[[1.0]] * n_runs, u=U, noise=0.1, seed=seed)
 
 
 @pytest.fixture(scope="module")

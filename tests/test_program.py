@@ -22,6 +22,7 @@ from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.parameter_vector import Point
 from problems.judges.fit_cases import PROBLEMS
 from problems.thesis.systems import SYSTEMS
+from tests.systems import pair, recorded
 
 # ---- a convex loss, written out by hand
 
@@ -48,9 +49,7 @@ def test_ipopt_with_slacks_agrees_with_cvxpy_where_the_loss_is_convex(
     t = np.linspace(0.0, 6.0, 80)
     x = np.column_stack([np.cos(1.5 * t) + 0.4, -1.5 * np.sin(1.5 * t)])
     x = x + 0.02 * rng.normal(size=x.shape)
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], 3)
-    )
+    model = pair(ph.polynomials(["q", "p"], 3))
     grid = grid_of(ph.Measurements.from_arrays([t], [x], states=["q", "p"]))
     point = Point(np.zeros(9), grid.y, np.ones(9), np.ones(2))
     program = ph.PHSILoss(scheme).program(model, grid, point, {"H": lam})
@@ -301,13 +300,9 @@ def spring_fit(
 ) -> ph.Fit:
     """A spring with unknown stiffness and damping, fitted to its own motion."""
     t = np.linspace(0.0, 4.0, 81)
-    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(prior=prior))
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=energy, R={"p": "c"}
-    )
-    x = ph.simulate(model.with_values({"k": 9.0, "c": 0.3}), t, [1.0, 0.5])
-    y = x + 0.001 * np.random.default_rng(0).normal(size=x.shape)
-    data = ph.Measurements.from_arrays(t, y, states=["q", "p"])
+    model = pair("k*q**2/2 + p**2/2", "c", k=ph.Parameter(prior=prior))
+    truth = model.with_values({"k": 9.0, "c": 0.3})
+    data = recorded(truth, t, [1.0, 0.5], noise=0.001)
     return ph.identify(model, data, loss, **options)
 
 

@@ -8,11 +8,11 @@ from scipy import stats
 
 import phsi_opt as ph
 from phsi_opt import Pruning
+from tests.systems import pair
 
 
 def dictionary(degree: int = 2, **slots: Any) -> ph.PseudoHamiltonian:
-    H = ph.polynomials(["q", "p"], degree=degree)
-    return ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=H, **slots)
+    return pair(ph.polynomials(["q", "p"], degree), **slots)
 
 
 MODEL = dictionary(R=ph.damping("p"))
@@ -42,43 +42,30 @@ def weak_terms(
     return RULE.insignificant(MODEL, found, covariance, n_tests)
 
 
-def test_a_term_goes_where_zero_explains_the_data_as_well() -> None:
-    values = {"H[q]": 0.3, "H[p]": 0.3}
-    assert weak_terms(values, {"H[q]": 0.2, "H[p]": 0.02}) == {"H[q]"}
-    # One without a standard error stays.
-    assert weak_terms({"H[q]": 1e-9}, dict.fromkeys(NAMES, np.nan)) == set()
+EACH = {n: 0.1 * np.sqrt(stats.chi2.isf(0.01, n) / n) for n in (2, 3)}
+ALONE = 0.1 * stats.norm.isf(0.01 / 6 / 2)  # the level over the number of terms
+TWO, THREE = ("H[q]", "H[p]"), ("H[q]", "H[p]", "H[q*p]")
 
 
-def test_two_terms_that_are_needed_together_do_not_both_go() -> None:
-    # Each alone is within its error because the other can stand in for it; together
-    # they are far from zero.
-    values = {"H[q]": 0.5, "H[p]": 0.4}
-    assert weak_terms(values, dict.fromkeys(values, 0.3), correlation=-0.999) == {
-        "H[p]"
-    }
-
-
-def test_a_single_term_is_tested_at_the_level_over_the_number_of_terms() -> None:
-    limit = 0.1 * stats.norm.isf(0.01 / 6 / 2)
-    errors = {"H[q]": 0.1}
-    assert weak_terms({"H[q]": -0.999 * limit}, errors) == {"H[q]"}
-    assert weak_terms({"H[q]": -1.001 * limit}, errors) == set()
+@pytest.mark.parametrize(("values", "errors", "options", "gone"), [
+    # A term goes where zero explains the data as well; one without an error stays.
+    ({"H[q]": 0.3, "H[p]": 0.3}, {"H[q]": 0.2, "H[p]": 0.02}, {}, {"H[q]"}),
+    ({"H[q]": 1e-9}, dict.fromkeys(NAMES, np.nan), {}, set()),
+    # Each is within its error because the other can stand in for it; not both go.
+    ({"H[q]": 0.5, "H[p]": 0.4}, dict.fromkeys(TWO, 0.3), {"correlation": -0.999}, {"H[p]"}),
+    ({"H[q]": -0.999 * ALONE}, {"H[q]": 0.1}, {}, {"H[q]"}),
+    ({"H[q]": -1.001 * ALONE}, {"H[q]": 0.1}, {}, set()),
     # Three standard errors from zero: more tests make it harder to stay.
-    assert weak_terms({"H[q]": 0.3}, errors, n_tests=1) == set()
-    assert weak_terms({"H[q]": 0.3}, errors, n_tests=34) == {"H[q]"}
-
-
-@pytest.mark.parametrize("n_weak", [2, 3])
-def test_terms_that_go_together_are_tested_with_as_many_degrees_of_freedom(
-    n_weak: int,
-) -> None:
-    names = ["H[q]", "H[p]", "H[q*p]"][:n_weak]
-    errors = dict.fromkeys(names, 0.1)
-    each = 0.1 * np.sqrt(stats.chi2.isf(0.01, n_weak) / n_weak)
-    assert weak_terms(dict.fromkeys(names, 0.999 * each), errors) == set(names)
-    # The strongest stays, and the others are within the limit for fewer.
-    uneven = dict.fromkeys(names, 1.001 * each) | {names[-1]: 1.002 * each}
-    assert weak_terms(uneven, errors) == set(names[:-1])
+    ({"H[q]": 0.3}, {"H[q]": 0.1}, {"n_tests": 1}, set()),
+    ({"H[q]": 0.3}, {"H[q]": 0.1}, {"n_tests": 34}, {"H[q]"}),
+    # Together they are tested with as many degrees of freedom; the strongest stays.
+    (dict.fromkeys(TWO, 0.999 * EACH[2]), dict.fromkeys(TWO, 0.1), {}, set(TWO)),
+    ({"H[q]": 1.001 * EACH[2], "H[p]": 1.002 * EACH[2]}, dict.fromkeys(TWO, 0.1), {}, {"H[q]"}),
+    (dict.fromkeys(THREE, 0.999 * EACH[3]), dict.fromkeys(THREE, 0.1), {}, set(THREE)),
+    (dict.fromkeys(TWO, 1.001 * EACH[3]) | {"H[q*p]": 1.002 * EACH[3]}, dict.fromkeys(THREE, 0.1), {}, set(TWO)),
+])  # fmt: skip
+def test_terms_go_that_are_not_significant(values, errors, options, gone) -> None:
+    assert weak_terms(values, errors, **options) == gone
 
 
 @pytest.mark.parametrize(("settings", "message"), [

@@ -5,11 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.comparison.compare import compare
-from phsi_opt.diagnosis.ranking import ranked
-from phsi_opt.diagnosis.refit import DiagnosedModel
-from phsi_opt.diagnosis.search import Search
-from phsi_opt.model.catalogue import EffectChoice
+from tests.systems import pair, positive
 
 
 def swing(amplitude: float, seed: int) -> ph.Measurements:
@@ -26,39 +22,7 @@ def swing(amplitude: float, seed: int) -> ph.Measurements:
     return ph.Measurements.from_arrays([t], [states], states=["q", "p"])
 
 
-@pytest.fixture(scope="module")
-def base() -> DiagnosedModel:
-    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(3.0, lower=0))
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy)
-    train, test = swing(4.0, 41), swing(5.0, 42)
-    fit = ph.identify(model, train)
-    return DiagnosedModel.of(compare(fit, train), compare(fit, test), None)
-
-
 LAWS = ("viscous damping", "quadratic drag", "cubic stiffness", "bouc-wen hysteresis")
-
-
-def test_a_stand_in_is_given_back_where_the_laws_together_are_likelier(base) -> None:
-    """From a first law on, and each is worth what is lost without it."""
-    model = base.fit.model
-    effects = EffectChoice(LAWS, ()).checked(model, {}).candidates(model, {})
-    ranking = ranked(base, base.evidence_record(), effects)
-    search = Search(base, ranking, effects)
-    single = search.in_order()[0]
-    search.run()
-    best = search.in_order()[0]
-    assert best.key == {f"{name} on p" for name in LAWS[:3]}
-    assert best.log_evidence > single.log_evidence + 50
-    worth = search.worth(best)
-    assert list(worth.values()) == sorted(worth.values(), reverse=True)
-    assert min(worth.values()) > 10
-    rest = search.known[best.key - {next(iter(worth))}]
-    gain = best.log_evidence - rest.log_evidence
-    assert worth[next(iter(worth))] == pytest.approx(gain)
-    assert search.alike(best, "viscous damping on p") == []
-    values = best.values
-    assert values["viscous_damping_p"] == pytest.approx(0.02, abs=0.004)
-    assert values["quadratic_drag_p"] == pytest.approx(0.01, abs=0.002)
 
 
 def test_an_input_that_acts_late_is_found_from_a_fit_of_its_own() -> None:
@@ -91,8 +55,7 @@ def test_an_input_that_acts_late_is_found_from_a_fit_of_its_own() -> None:
 
 
 def test_laws_named_together_are_added_one_by_one_as_the_error_falls() -> None:
-    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(3.0, lower=0))
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy)
+    model = pair("k*q**2/2 + p**2/2", k=positive(3.0))
     train, test = swing(4.0, 41), swing(5.0, 42)
     study = ph.Study(model, train, held_out=test, effects=list(LAWS[:3]))
     found = study.diagnose()

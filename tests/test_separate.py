@@ -9,32 +9,26 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.optimize import least_squares
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.experiments import Experiment, next_experiment
 from phsi_opt.presentation.units import Scale, Unit
 from phsi_opt.simulation.simulate import free_run
+from tests import systems
+from tests.systems import Number, pair
 
 NOISE = 0.02
 SIGMA = {"q": NOISE}
 OFFSET = {"q": ph.formula("b", b=ph.Parameter(0.0))}
 PUSH = {"p": ph.formula("f", f=ph.Parameter(0.0))}
-DRIVEN: Any = {"inputs": ["u"], "F": {"p": ph.formula("u")}}
+DRIVEN: Any = {"F": "u"}
 LIMITS = {"u": (-60.0, 60.0), "q": (-5.0, 5.0), "p/2.5": (-6.0, 6.0), "t": 6.0}
 REST = {"q": 0.0, "p": 0.0}
 Fits = dict[str, ph.Fit]
 
 
-def hamiltonian(H: Any, R: Any, **slots: Any) -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=H, R=R, **slots)
-
-
-def spring(
-    k: ph.Parameter | float = 40.0, m: ph.Parameter | float = 2.5, **slots: Any
-) -> ph.PseudoHamiltonian:
-    energy = ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=m)
-    return hamiltonian(energy, ph.damping("p"), **slots).with_values({"R_p": 0.5})
+def spring(k: Number = 40.0, m: Number = 2.5, **slots: Any) -> ph.PseudoHamiltonian:
+    return systems.spring(k, m=m, **slots).with_values({"R_p": 0.5})
 
 
 def positions(
@@ -93,39 +87,6 @@ def test_the_limits_hold_along_the_true_motion(
     assert 5.0 < speed <= 6.0 * 1.001  # it uses what is allowed
 
 
-def test_the_expected_factor_is_what_a_search_over_the_parameters_leaves(
-    resonant: tuple[Fits, ph.Measurements], found: Experiment
-) -> None:
-    """Reference: SciPy's least squares on simulations of record and experiment."""
-    fits, data = resonant
-    run = data.trajectories[0]
-    stiff, heavy = fits["stiff"], fits["heavy"]
-    runs = ((run.t, run.u, stiff.states[0][0]), (found.t, found.u, np.zeros(2)))
-    truth = [free_run(stiff.model, t, x0, u)[:, 0] for t, u, x0 in runs]
-
-    def misfit(z: np.ndarray, n_runs: int) -> np.ndarray:
-        model = heavy.model.with_values(dict(zip(heavy.model.free, z[:2], strict=True)))
-        left = []
-        for k, (t, u, _) in enumerate(runs[:n_runs]):
-            q = free_run(model, t, z[2 + 2 * k : 4 + 2 * k], u)[:, 0]
-            left.append((q - truth[k]) / NOISE)
-        return np.concatenate(left)
-
-    cost = []
-    for n_runs in (1, 2):
-        begin = np.r_[heavy.model.theta, heavy.states[0][0], np.zeros(2)]
-        best = least_squares(misfit, begin[: 2 + 2 * n_runs], "3-point", args=(n_runs,))
-        cost.append(best.cost)
-    assert found.log_bayes["stiff"] == pytest.approx(cost[1] - cost[0], rel=0.02)
-
-
-def test_the_same_seed_designs_the_same_experiment(
-    resonant: tuple[Fits, ph.Measurements], found: Experiment
-) -> None:
-    again = next_experiment(*resonant, SIGMA, LIMITS, REST)
-    np.testing.assert_array_equal(again.u, found.u)
-
-
 def test_an_input_for_one_parameter_tells_it_better_than_the_record_as_long(
     resonant: tuple[Fits, ph.Measurements],
 ) -> None:
@@ -149,8 +110,8 @@ def test_an_offset_and_a_force_are_the_same_on_a_linear_spring() -> None:
 
 
 def test_on_a_hardening_spring_a_larger_start_tells_an_offset_from_a_force() -> None:
-    parts = ph.formula("20*q**2 + 300*q**4/4 + p**2/5"), {"p": ph.formula("0.5")}
-    sensor, force = hamiltonian(*parts, sensor=OFFSET), hamiltonian(*parts, F=PUSH)
+    parts = "20*q**2 + 300*q**4/4 + p**2/5", "0.5"
+    sensor, force = pair(*parts, sensor=OFFSET), pair(*parts, PUSH)
     data = positions(sensor, np.linspace(0.0, 3.0, 151), [0.1, 0.0], offset=0.1)
     models = {"sensor": sensor, "force": force}
     fits = {name: ph.identify(model, data) for name, model in models.items()}

@@ -18,6 +18,7 @@ from phsi_opt.simulation.simulate import (
     free_run,
     rates,
 )
+from tests.systems import pair
 
 K, M, D = 40.0, 2.5, 0.8
 # Local errors of 1e-8, gathered over some hundred steps.
@@ -28,15 +29,8 @@ CLOSE = 1e-5
 
 
 def spring(H: Any = None, F: str = "u") -> ph.PseudoHamiltonian:
-    energy = ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(K), m=M)
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"] if F else [],
-        S=ph.canonical(1),
-        H=energy if H is None else H,
-        R={"p": ph.formula("d", d=D)},
-        F={"p": ph.formula(F)} if F else {},
-    )
+    energy = H or "k*q**2/2 + p**2/(2*m)"
+    return pair(energy, "d", F or None, k=ph.Parameter(K), m=M, d=D)
 
 
 def first_order(*inputs: str, **rates: str) -> ph.FirstOrder:

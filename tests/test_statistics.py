@@ -1,17 +1,12 @@
 """Residuals correlated in time, tails of distributions, and what counts as noise."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 from scipy.signal import lfilter
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
-from phsi_opt import criteria, statistics
-from phsi_opt.comparison import compare as evidence
+from phsi_opt import statistics
 from phsi_opt.statistics import autocorrelation_time, ljung_box, local_maxima
 
 N = 1000
@@ -99,65 +94,3 @@ def test_ljung_and_boxs_statistics_of_several_series_are_added() -> None:
     assert ljung_box([1e-3 * one for one in series]) == pytest.approx(expected)
     still = [np.zeros(40), *series]  # adds its lags, and no correlation
     assert ljung_box(still) == pytest.approx(stats.chi2.sf(q, 8 + 8 + 4), rel=1e-9)
-
-
-# ---- what counts as noise
-
-
-def judged(rmse: float, floor: float, whiteness: tuple[float, ...] = (0.5,)) -> Any:
-    return SimpleNamespace(
-        rmse=rmse,
-        noise_floor=floor,
-        bands=None,
-        table=pd.DataFrame({"whiteness": whiteness}),
-        record=SimpleNamespace(
-            has_correlated_noise=False, shows_correlated_noise=False
-        ),
-    )
-
-
-def test_the_share_explained_is_of_the_square_above_the_floor() -> None:
-    assert evidence.explained_share(judged(5, 3), judged(4, 3)) == pytest.approx(9 / 16)
-    assert evidence.explained_share(judged(5, 3), judged(3, 3)) == pytest.approx(1.0)
-    assert evidence.explained_share(judged(3, 3), judged(4, 3)) < -1e6
-
-
-def test_a_run_fails_beyond_a_share_of_its_floor() -> None:
-    limit = criteria.FAILING_ERROR * 2.0
-    assert not evidence.is_failing(judged(limit, 2.0))
-    assert evidence.is_failing(judged(limit * 1.001, 2.0))
-
-
-def test_noise_is_small_and_white_in_all_channels_together() -> None:
-    small = criteria.WHITE_ERROR * 2.0 * 0.999
-    level = criteria.SURE_LEVEL
-    assert evidence.is_like_noise(judged(small, 2.0))
-    assert not evidence.is_like_noise(judged(small * 1.002, 2.0))
-    assert evidence.is_like_noise(judged(small, 2.0, (level / 2 * 1.01, 0.5)))
-    assert not evidence.is_like_noise(judged(small, 2.0, (level / 2 * 0.99, 0.5)))
-    lasting = judged(small, 2.0, (1e-9, np.nan))
-    assert not evidence.is_like_noise(lasting)
-    lasting.record.has_correlated_noise = True
-    assert evidence.is_like_noise(lasting)
-    # What an effect leaves lasts as noise only where noise did so before.
-    before = judged(9.0, 1.0)
-    assert not evidence.is_white_noise(lasting)
-    assert not evidence.is_explained(before, lasting, judged(1.4, 1.0))
-    before.record.shows_correlated_noise = True
-    assert evidence.is_explained(before, lasting, judged(1.4, 1.0))
-    assert evidence.is_white_noise(judged(small, 2.0))
-    assert not evidence.is_white_noise(judged(small * 1.002, 2.0))
-
-
-def test_what_is_left_is_like_noise_or_small_and_most_of_it_explained() -> None:
-    white, coloured = judged(1.0, 1.0), judged(1.0, 1.0, (1e-9,))
-    base = judged(3.0, 1.0)
-    limit = criteria.FAILING_ERROR
-    assert evidence.is_explained(base, white, judged(1.4, 1.0))
-    assert not evidence.is_explained(base, white, judged(2.9, 1.0))
-    assert evidence.is_explained(base, coloured, judged(1.0, 1.0))
-    assert not evidence.is_explained(base, coloured, judged(1.01 * limit, 1.0))
-    off = judged(1.01 * limit, 1.0, (1e-9,))
-    assert not evidence.is_explained(base, off, judged(1.0, 1.0))
-    near = judged(0.999 * limit, 1.0)
-    assert not evidence.is_explained(near, coloured, judged(0.998 * limit, 1.0))

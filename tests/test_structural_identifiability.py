@@ -11,27 +11,18 @@ import phsi_opt as ph
 from phsi_opt.estimation.identifiability import structural
 from phsi_opt.simulation.taylor_series import Motion, sensitivities
 from problems.benchmarks.published_models import PUBLISHED, Published
+from tests.systems import pair, recorded
 
 
 def spring(**forces: Any) -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H="k*q**2/2 + p**2/(2*m)",
-        R={"p": "c"},
-        F=forces,
-        inputs=["u"],
-    )
+    return pair("k*q**2/2 + p**2/(2*m)", "c", forces, inputs=["u"])
 
 
 def test_the_series_is_that_of_the_integrated_sensitivities() -> None:
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H="k*q**2/2 + p**2/(2*m) + a*cos(b*q)",
-        R={"p": "c + d*abs(dH_dp)**1.5"},
-        F={"p": "u*tanh(e*q) + sqrt(1 + q**2) - min(q, f*t + 9)/exp(q) + q**g"},
-        inputs=["u"],
+    model = pair(
+        "k*q**2/2 + p**2/(2*m) + a*cos(b*q)",
+        "c + d*abs(dH_dp)**1.5",
+        "u*tanh(e*q) + sqrt(1 + q**2) - min(q, f*t + 9)/exp(q) + q**g",
     )
     n = len(model.free)
     numbers = np.random.default_rng(0).uniform(0.5, 1.5, 60).tolist()
@@ -115,14 +106,9 @@ def test_what_cannot_be_asked_is_refused() -> None:
 @pytest.fixture(scope="module")
 def record() -> ph.Measurements:
     t = np.arange(0.0, 20.0, 0.1)
-    u = np.cos(1.3 * t) + np.sin(0.4 * t)
+    u = (np.cos(1.3 * t) + np.sin(0.4 * t))[:, None]
     truth = spring(p="u").with_fixed({"k": 4.0, "m": 1.5, "c": 0.4})
-    x = ph.simulate(truth, t, [1.0, 0.0], u=u[:, None])
-    x[:, 0] += 0.02 * np.random.default_rng(1).normal(size=len(t))
-    x[:, 1] = np.nan
-    return ph.Measurements.from_arrays(
-        t, x, u=u[:, None], states=["q", "p"], inputs=["u"]
-    )
+    return recorded(truth, t, [1.0, 0.0], u=u, noise=0.02, seed=1, shown="q")
 
 
 def test_expected_errors_are_those_of_the_fit(record: ph.Measurements) -> None:

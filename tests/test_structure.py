@@ -13,17 +13,11 @@ from phsi_opt.model.structure import (
     forced_rows,
     kind_of,
     position_of_momentum,
-    position_rows,
     storage_states,
     with_kinds_of_units,
 )
 from phsi_opt.model.terms import Dictionary, Term
-
-
-def spring() -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H="q**2/2 + p**2/2", R=ph.damping("p")
-    )
+from tests.systems import spring
 
 
 def two_tanks() -> ph.PseudoHamiltonian:
@@ -46,21 +40,6 @@ def test_canonical_is_the_structure_matrix_of_hamilton() -> None:
     )
 
 
-def test_only_equations_that_are_not_kinematic_may_lack_a_force() -> None:
-    assert position_rows(spring()) == (0,)
-    assert forced_rows(spring()) == (1,)
-    assert forced_rows(first_order()) == (0, 1)
-
-
-def test_a_pair_is_a_position_and_its_momentum_whatever_their_order() -> None:
-    turned = ph.PseudoHamiltonian(
-        states=["p", "q"], S=-ph.canonical(1), H="q**2/2 + p**2/2"
-    )
-    assert position_of_momentum(spring()) == {"p": "q"}
-    assert position_of_momentum(turned) == {"p": "q"}
-    assert position_of_momentum(two_tanks()) == {}
-
-
 def motor(kind: Any = None) -> ph.PseudoHamiltonian:
     """The flux of a motor and the momentum of its rotor: a gyrator between the two."""
     return ph.PseudoHamiltonian(
@@ -71,19 +50,27 @@ def motor(kind: Any = None) -> ph.PseudoHamiltonian:
     )
 
 
-def test_a_pair_is_of_one_kind_and_a_gyrator_is_none() -> None:
-    assert position_of_momentum(motor()) == {}
-    assert forced_rows(motor()) == (0, 1)
-    assert position_of_momentum(motor("electrical")) == {"flux": "turn"}
-    assert position_of_momentum(motor("thermal")) == {}
-    two_fields = motor({"turn": "mechanical", "flux": "electrical"})
-    assert position_of_momentum(two_fields) == {}
-    assert forced_rows(two_fields) == (0, 1)
+TURNED = ph.PseudoHamiltonian(
+    states=["p", "q"], S=-ph.canonical(1), H="q**2/2 + p**2/2"
+)
+TWO_FIELDS = {"turn": "mechanical", "flux": "electrical"}
 
 
-def test_a_capacitor_may_leak_and_the_position_of_a_body_may_not() -> None:
-    assert forced_rows(motor("electrical")) == (0, 1) == forced_rows(motor("hydraulic"))
-    assert forced_rows(motor("mechanical")) == (1,)
+@pytest.mark.parametrize(("model", "pairs", "forced"), [
+    (spring(1.0), {"p": "q"}, (1,)),  # the rate of a position lacks no force
+    (TURNED, {"p": "q"}, (0,)),  # whatever their order
+    (two_tanks(), {}, (0, 1, 2)),
+    (first_order(), {}, (0, 1)),
+    (motor(), {}, (0, 1)),
+    (motor("electrical"), {"flux": "turn"}, (0, 1)),  # a capacitor may leak
+    (motor("hydraulic"), {"flux": "turn"}, (0, 1)),
+    (motor("mechanical"), {"flux": "turn"}, (1,)),  # a position does not
+    (motor("thermal"), {}, (0, 1)),
+    (motor(TWO_FIELDS), {}, (0, 1)),  # of one kind, or a gyrator
+])  # fmt: skip
+def test_pairs_and_equations_that_may_lack_a_force(model, pairs, forced) -> None:
+    assert position_of_momentum(model) == pairs
+    assert forced_rows(model) == forced
 
 
 @pytest.mark.parametrize("rate", [
@@ -156,10 +143,10 @@ def test_units_tell_kinds_outside_the_pairs(units, kinds) -> None:
 
 
 def test_units_tell_the_kind_of_a_pair() -> None:
-    circuit = with_kinds_of_units(spring(), {"q": "C", "p": "Wb"})
+    circuit = with_kinds_of_units(spring(1.0), {"q": "C", "p": "Wb"})
     assert circuit.kind == {"q": "electrical", "p": "electrical"}
     assert position_of_momentum(circuit) == {"p": "q"}
-    assert with_kinds_of_units(spring(), {"q": "V"}).kind == {}  # of any sensor
+    assert with_kinds_of_units(spring(1.0), {"q": "V"}).kind == {}  # of any sensor
 
 
 def test_the_memory_of_an_effect_is_neither_forced_nor_a_storage() -> None:

@@ -7,17 +7,13 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.model.typeset import typeset_equations
+from tests.systems import pair
 
 
 def spring() -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(), m=2.5),
-        R=ph.damping("p"),
-        F={"p": ph.formula("gain_u*u", gain_u=ph.Parameter())},
-    )
+    gain = ph.Parameter()
+    energy, loss = "k*q**2/2 + p**2/(2*m)", ph.damping("p")
+    return pair(energy, loss, "gain_u*u", k=ph.Parameter(), m=2.5, gain_u=gain)
 
 
 def told(model: ph.Model, value: float = 0.0053) -> list[str]:

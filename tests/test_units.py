@@ -26,17 +26,13 @@ from phsi_opt.presentation.units import (
     times_words,
     unit_of_rate,
 )
+from tests.systems import pair, spring
 
-CARTESIAN: dict[str, Any] = {
-    "states": ["q", "p"],
-    "S": ph.canonical(1),
-    "R": ph.damping("p"),
-}
 ENERGY = "k*q**2/2 + p**2/(2*m)"
 
 
 def cart(**parameters: ph.Parameter | float) -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(**CARTESIAN, H=ph.formula(ENERGY, **parameters))
+    return pair(ENERGY, ph.damping("p"), **parameters)
 
 
 def known(value: float, unit: str = "") -> ph.Parameter:
@@ -269,8 +265,7 @@ def test_a_unit_of_the_wrong_dimension_is_told_with_the_expected_one() -> None:
 
 
 def test_a_mass_of_one_that_is_left_out_is_no_contradiction() -> None:
-    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(50.0, unit="N/m"))
-    model = ph.PseudoHamiltonian(**CARTESIAN, H=energy)
+    model = spring(ph.Parameter(50.0, unit="N/m"))
     UnitCheck(model, {"q": "m", "t": "s"}).refuse()
 
 
@@ -289,10 +284,8 @@ def test_units_of_different_size_are_refused_with_the_repair() -> None:
 
 
 def test_an_angle_in_degrees_does_not_stand_in_a_cosine() -> None:
-    energy = ph.formula(
-        "-m*9.81*l*cos(q) + p**2/(2*m*l**2)", m=known(1, "kg"), l=known(0.5, "m")
-    )
-    pendulum = ph.PseudoHamiltonian(**CARTESIAN, H=energy)
+    energy, loss = "-m*9.81*l*cos(q) + p**2/(2*m*l**2)", ph.damping("p")
+    pendulum = pair(energy, loss, m=known(1, "kg"), l=known(0.5, "m"))
     UnitCheck(pendulum, {"q": "rad", "t": "s"}).refuse()
     assert "q in deg" in fault(pendulum, {"q": "deg", "t": "s"})
     assert "q is in m" in fault(pendulum, {"q": "m", "t": "s"})

@@ -18,7 +18,7 @@ import phsi_opt as ph
 from problems.battery.ask import findings_of
 from problems.battery.draw import KINDS, ROWS, Row, draw
 from problems.battery.records import Case
-from tests.machines import damped_spring, swings
+from tests.systems import damped_spring, pair, positive, spring, swings
 
 Force = Callable[[float, float], float]  # of position and velocity, at unit mass
 GRAVITY = 9.81
@@ -117,9 +117,7 @@ def at_its_bound() -> ph.Diagnosis:
     """Critically damped; without the damping, all springs are best at zero."""
     t = np.linspace(0.0, 3.0, 31)
     train, test = recorded(lambda q, v: -2 * q - 2 * np.sqrt(2) * v, 0.03, 2, t)
-    k, b = ph.Parameter(2.0, lower=0), ph.Parameter(0.5, lower=0)
-    energy = ph.formula("k*q**2/2 + b*q**4/4 + p**2/2", k=k, b=b)
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=energy)
+    model = pair("k*q**2/2 + b*q**4/4 + p**2/2", k=positive(2.0), b=positive(0.5))
     fit = ph.identify(model, train[:1])
     assert fit.values["k"] < 1e-6
     return ph.diagnose(fit, train[:1], held_out=test)
@@ -130,12 +128,7 @@ def far_off(hidden: Force, factor: float) -> ph.Diagnosis:
     t = np.linspace(0.0, 20.0, 161)
     elsewhere, _ = recorded(lambda q, v: -factor * (2 * q + 0.2 * v), 0.02, 1, t)
     train, test = recorded(lambda q, v: -2 * q - 0.2 * v + hidden(q, v), 0.02, 0, t)
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
-        R=ph.damping("p"),
-    )
+    model = spring(positive(2.0))
     return ph.diagnose(ph.identify(model, elsewhere), train, held_out=test)
 
 

@@ -16,33 +16,22 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis, where_answer
 from phsi_opt.force_analysis.cross_validation import (
     explained_share,
-    fold_numbers,
     left_out_error,
-    piecewise_linear_basis,
-    product_basis,
 )
 from phsi_opt.force_analysis.pictures import plot_where
 from phsi_opt.force_analysis.waves import _power, spectrum
+from tests import systems
+from tests.systems import Number, pair, positive, recorded
 
 M, K, D = 2.5, 40.0, 0.8
 UNITS = {"q": "m", "p": "kg m/s", "t": "s", "u": "N"}
 Force = Callable[[float, float, float, float], float]  # of t, q, v, u
 
 
-def spring(
-    k: ph.Parameter | float | None = None, c: ph.Parameter | float | None = None
-) -> ph.PseudoHamiltonian:
+def spring(k: Number | None = None, c: Number | None = None) -> ph.PseudoHamiltonian:
     """A driven spring whose stiffness and damping are to be found unless given."""
-    k = ph.Parameter(30.0, lower=0) if k is None else k
-    c = ph.Parameter(0.5, lower=0) if c is None else c
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=M),
-        R={"p": ph.formula("c", c=c)},
-        F={"p": "u"},
-    )
+    k = positive(30.0) if k is None else k
+    return systems.spring(k, positive(0.5) if c is None else c, M, "u")
 
 
 def spring_with(
@@ -140,24 +129,6 @@ def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
     # turns.
     assert found.energy["mean_power"].iloc[0] == pytest.approx(-3 * speed, rel=0.15)
     assert found.energy["unit"].iloc[0] == "W"
-
-
-def test_noise_earns_no_share_and_units_change_none(cases) -> None:
-    def with_force(found: ForceAnalysis, w: np.ndarray) -> ForceAnalysis:
-        along = found.record.along
-        return ForceAnalysis.of(replace(along, estimate=replace(along.estimate, w=w)))
-
-    w = cases["constant"].record.estimate.w
-    noise = np.random.default_rng(1).normal(size=w.shape)
-    of_noise = with_force(cases["constant"], noise)
-    # 2 to 49 coefficients for 400 values, none of them earned.
-    assert of_noise.follows["share"].max() < 0.1
-    told = where_answer(of_noise.force_in("p")).detail
-    assert told == "No state, input or time explains it."
-    plain = cases["cubic"]
-    scaled = with_force(plain, 1e3 * plain.record.estimate.w)
-    shares = scaled.follows["share"]
-    np.testing.assert_allclose(shares, plain.follows["share"], atol=1e-9)
 
 
 # ---- where and when ------------------------------------------------------------------
@@ -266,35 +237,6 @@ def share(w: np.ndarray, fold: np.ndarray, *bases: np.ndarray) -> float:
     return explained_share(left_out_error(w, fold, bases), float(w @ w))
 
 
-def test_a_true_function_predicts_what_was_left_out_and_a_wrong_one_does_not() -> None:
-    true, wrong = np.random.default_rng(3).normal(size=(2, 600))
-    fold = fold_numbers(np.zeros(600, dtype=int))
-    # Twelve straight pieces follow a parabola that far.
-    assert share(true**2 - 1, fold, piecewise_linear_basis(true)) > 0.9
-    assert share(true**2 - 1, fold, piecewise_linear_basis(wrong)) < 0.05
-    # Bases given apart are fitted together.
-    apart = true[:, None], wrong[:, None]
-    w = true + 2 * wrong
-    assert share(w, fold, *apart) == share(w, fold, np.hstack(apart))
-    assert share(w, fold, *apart) == pytest.approx(1.0, abs=1e-5)
-
-
-def test_a_held_and_a_slow_input_together_do_not_tell_the_time() -> None:
-    n, n_values = 720, 24
-    t = np.linspace(0, 2, n, endpoint=False)
-    run = t.astype(int)
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        held = np.repeat(rng.uniform(0, 900, n_values), n // n_values)
-        slow = np.sin(2 * np.pi * 1.4 * t + run)
-        # What neither has to do with: a slow sum of sines.
-        tones, phases = rng.uniform(0.5, 1.5, 6), rng.uniform(size=6)
-        w = np.sin(2 * np.pi * (np.outer(t, tones) + phases)).sum(axis=1)
-        fold = fold_numbers(run, np.column_stack([held, slow]))
-        bases = [piecewise_linear_basis(u) for u in (held, slow)]
-        assert share(w, fold, *bases, product_basis(held, slow)) < 0.2
-
-
 # ---- forces that repeat along a position: a motor that cogs six times a turn
 
 INERTIA = 0.02  # kg m^2
@@ -343,14 +285,7 @@ def turned(torque: Callable[[float], float], unit: str) -> ph.Measurements:
 
 
 def motor() -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("p**2/(2*J)", J=ph.Parameter(0.03, lower=1e-3)),
-        R=ph.damping("p"),
-        F={"p": "u"},
-    )
+    return pair("p**2/(2*J)", ph.damping("p"), "u", J=positive(0.03, lower=1e-3))
 
 
 @cache
@@ -486,12 +421,8 @@ def test_a_force_is_no_multiple_of_an_inertia_that_the_data_do_not_determine() -
     for power in (0.01, 10.0):
         u = power * np.sign(np.sin(t))[:, None]
         truth = ph.FirstOrder(["T"], {"T": ph.formula("u/2 - T/8")}, ["u"])
-        x = ph.simulate(truth, t, [5.0], u, hold="zero")
-        x = x + 0.01 * np.random.default_rng(1).standard_normal(x.shape)
         units = {"t": "s", "T": "K", "u": "W"}
-        data = ph.Measurements.from_arrays(
-            t, x, states=["T"], u=u, inputs=["u"], units=units, hold="zero"
-        )
+        data = recorded(truth, t, [5.0], u=u, seed=1, hold="zero", units=units)
         capacity = ph.Parameter(2.0, lower=0, unit="J/K")
         term = ph.formula("u/C", C=capacity)
         model = ph.FirstOrder(["T"], {"T": term}, ["u"], kind="thermal")
@@ -504,9 +435,7 @@ def test_a_factor_that_was_estimated_does_not_make_an_equation_kinematics() -> N
     # dx/dt = s y lacks -x/2. With a known s it would define the velocity y.
     t = np.linspace(0, 6, 61)
     truth = ph.FirstOrder(["x", "y"], {"x": "y - 0.5*x", "y": "-4*x - 0.2*y"})
-    x = ph.simulate(truth, t, [1.0, 0.0])
-    noise = 0.01 * np.random.default_rng(0).normal(size=x.shape)
-    data = ph.Measurements.from_arrays(t, x + noise, states=["x", "y"])
+    data = recorded(truth, t, [1.0, 0.0])
     dx = ph.formula("s*y", s=ph.Parameter(1.0))
     rates = {"x": dx, "y": ph.formula("-4*x - 0.2*y")}
     fit = ph.identify(ph.FirstOrder(["x", "y"], rates), data)
