@@ -1,7 +1,7 @@
 """Tables of binary files: Excel workbooks, loggers' files, MATLAB and HDF5 files.
 
 Each is read in a process of its own, by `excel_reader` (a sheet, cell by cell),
-`logger_reader` (MDF, TDMS, Parquet, ROS bags, MCAP), `matlab_reader` and `hdf5_reader`.
+`logger_reader` (MDF, TDMS, Parquet, ROS bags, MCAP) and `array_reader` (MATLAB, HDF5).
 
 A logger's file has groups of channels; those of a group have common times, which are
 the first column. Channels of a group that are sampled otherwise are a group of their
@@ -257,7 +257,6 @@ def _variables(file: OpenedFile) -> Vectors:
     is_hdf5 = file.content[:8] == HDF5 or file.content[512:520] == HDF5
     if is_hdf5:
         _require(file, "h5py")
-        names, values = read_apart(file, "hdf5_reader", "Write its table as CSV.")
-    else:
-        names, values = read_apart(file, "matlab_reader", SAVE_AGAIN)
+    repair = "Write its table as CSV." if is_hdf5 else SAVE_AGAIN
+    names, values = read_apart(file, "array_reader", repair, is_hdf5=is_hdf5)
     return dict(map(_described, *zip(*names, strict=True), values) if names else ())
