@@ -56,10 +56,6 @@ def first_study(
     """Write a study file; nothing that is there is overwritten unless forced.
 
     Without the name of a base model the model stays empty.
-
-    Raises:
-        DataError: the table cannot be read, the study file is there already, or the
-            gallery has no such model.
     """
     base = None if model is None else base_model(model)
     if os.path.exists(study) and not force:
@@ -135,11 +131,7 @@ def _draw(data: Measurements, path: Path) -> None:
 
 
 def checked(path: Path, draws: bool = True) -> Answer:
-    """A summary of a study file, or everything that is wrong, and what stands empty.
-
-    Raises:
-        StudyFileError: it cannot be read, or is no TOML.
-    """
+    """A summary of a study file, or everything that is wrong, and what stands empty."""
     empty = unfilled(path)
     try:
         file = StudyFile.read(path)
@@ -194,13 +186,7 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
 
 
 def add_effect(path: Path, name: str, equation: str | None) -> Answer:
-    """Write an effect into a study file, if the model can have it.
-
-    Raises:
-        StudyFileError: the file cannot be used as it is.
-        DataError: the file is written in a way that cannot be changed safely.
-        ModelError: there is no such effect, or the model has it.
-    """
+    """Write an effect into a study file, if the model can have it."""
     file = StudyFile.read(path)
     model = file.model()
     if equation is not None:
@@ -220,11 +206,7 @@ def add_effect(path: Path, name: str, equation: str | None) -> Answer:
 
 
 def effects_of(path: Path | None) -> Answer:
-    """The catalogue: of the model of a study file, or (None) all of it.
-
-    Raises:
-        StudyFileError: the file cannot be used as it is.
-    """
+    """The catalogue: of the model of a study file, or (None) all of it."""
     if path is None:
         rows = [_told(name, adds, {}) for name, adds in laws_told().items()]
     else:
@@ -266,11 +248,7 @@ def _listing(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def written_demonstration(folder: Path) -> Path:
-    """Write table and study file into a folder; the path of the study file.
-
-    Raises:
-        DataError: another file is there, or the folder cannot be written.
-    """
+    """Write table and study file into a folder; the path of the study file."""
     shipped = files("phsi_opt.study_file") / "examples" / "spring"
     make_folder(folder)
     for name in DEMO_FILES:

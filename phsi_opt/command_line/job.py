@@ -71,7 +71,6 @@ class Job:
 
     @property
     def places(self) -> list[Path]:
-        """The files that it writes."""
         planned = self.plan.table if self.plan else None
         return [*filter(None, (self.save, self.report, self.export, planned))]
 

@@ -42,11 +42,7 @@ Tell = Callable[[Message], None]
 
 
 def run(job: Job, tell: Tell) -> Answer:
-    """Do a job.
-
-    Raises:
-        PhsiOptError: something cannot be used, or no solution was found.
-    """
+    """Do a job."""
     tell("reading the study file and the data")
     file = StudyFile.read(job.study)
     if job.fit is not None:
@@ -217,11 +213,7 @@ def _experiment_answer(study: Study, plan: ExperimentPlan) -> Answer:
 
 
 def _ranges(text: str, units: Mapping[str, str], option: str) -> tuple[str, Any]:
-    """A name with a number, or with two, in the units that are computed with.
-
-    Raises:
-        ModelError: the text is no such limit.
-    """
+    """A name with a number, or with two, in the units that are computed with."""
     name, _, values = text.rpartition("=")
     try:
         numbers = [float(value) for value in values.split(":")]

@@ -30,11 +30,7 @@ Named = Iterator[tuple[str, Any, str]]  # the name, its values or what it is, th
 def read(
     content: Any, title: str, most: int, is_hdf5: bool
 ) -> tuple[list[tuple[str, str]], list[np.ndarray]]:
-    """The names of the variables with their units, and the values.
-
-    Raises:
-        OSError: they are too large.
-    """
+    """The names of the variables with their units, and the values."""
     if not is_hdf5:
         return _within(most, list(_in_matlab(content)))
     import h5py

@@ -53,9 +53,6 @@ def table_of_excel(
 
     Without the name of a sheet it is the only one with content, or the first of several
     where there may be several. The form is that of cells that hold text.
-
-    Raises:
-        DataError: this is no workbook, there is no such sheet, or it is empty.
     """
     read, _ = read_apart(file, "excel_reader", REPAIR_WORKBOOK)
     sheets: dict[str, Any] = dict(read)
@@ -86,9 +83,6 @@ def table_of_groups(
             groups.
         reader: of `Measurements`, one of `LOGGERS`.
         group: the group; None: the only one.
-
-    Raises:
-        DataError: the file cannot be read, or the group is not clear.
     """
     _require(file, *LOGGERS[reader])
     found, arrays = read_apart(
@@ -117,11 +111,7 @@ def table_of_groups(
 
 
 def _require(file: OpenedFile, *libraries: str) -> None:
-    """Refuse a file whose libraries are not installed.
-
-    Raises:
-        DataError: one is not; with both ways to read the file.
-    """
+    """Refuse a file whose libraries are not installed."""
     for library in libraries:
         if find_spec(library) is None:
             raise DataError(
@@ -142,11 +132,7 @@ HDF5 = b"\x89HDF\r\n\x1a\n"  # how it begins; MATLAB writes 512 bytes before
 
 
 def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
-    """The columns that are looked for, as they would be called in MATLAB.
-
-    Raises:
-        DataError: a column is not there or could be several, or lengths differ.
-    """
+    """The columns that are looked for, as they would be called in MATLAB."""
     variables = _variables(file)
     found = {name: _column(name, variables, file.title) for name in wanted}
     columns = {name: values for name, (values, _) in found.items()}
@@ -161,11 +147,7 @@ def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
 
 
 def table_of_vectors(file: OpenedFile) -> Table:
-    """All vectors of the commonest length, where nobody said which are looked for.
-
-    Raises:
-        DataError: no vector has two numbers; with what the file holds.
-    """
+    """All vectors of the commonest length, where nobody said which are looked for."""
     variables = _variables(file)
     # A matrix that is taken for a table has few columns.
     few = {one: vectors for one, vectors in variables.items() if len(vectors) <= 20}
@@ -219,7 +201,6 @@ def _column(name: Any, variables: Vectors, title: str) -> tuple[np.ndarray, str]
 
 
 def _listing(variables: Vectors) -> str:
-    """What a file holds, as a sentence."""
     listed = [f"{one.name!r} ({one.said})" for one in variables]
     others = len(listed) - 50
     more = f" and {others} more" if others > 0 else ""

@@ -50,9 +50,6 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
     """A read-only float64 copy of an array with one or two axes.
 
     Masked entries become NaN, not measured; (n_samples,) may stand for (n_samples, 1).
-
-    Raises:
-        DataError: the values are no regular array, not real, or in another shape.
     """
     try:
         # As it is where it is an array: masked ones cost more, and few are.
@@ -109,9 +106,6 @@ def check_values(
 
     The array is (n_samples,) or (n_samples, n_channels); ``place_of`` gives the words
     for the place of the value with these indices.
-
-    Raises:
-        DataError: a value cannot be used; the first one is named.
     """
     is_bad = np.abs(values) > LARGEST_VALUE
     if not may_be_missing:
@@ -181,11 +175,7 @@ def checked_names(
 def checked_by_name(
     given: Mapping[str, Any], names: Sequence[str], what: str
 ) -> dict[str, Any]:
-    """What ``what`` says of channels, such as "units", by name, in the given order.
-
-    Raises:
-        DataError: an entry cannot be used.
-    """
+    """What ``what`` says of channels, such as "units", by name, in the given order."""
     noun, kept_as, fits, expected = BY_NAME[what]
     for name, value in given.items():
         require_known(name, names, f"{what} names the unknown {name!r}", DataError)

@@ -57,11 +57,7 @@ def check_can_judge(
     what: str = "held out",
     known: str = "training data",
 ) -> None:
-    """Refuse runs held out, or kept for the end, that are used before.
-
-    Raises:
-        DataError: there are such runs.
-    """
+    """Refuse runs held out, or kept for the end, that are used before."""
     copies = _copies(held_out.trajectories, train.trajectories)
     if copies:
         raise DataError(
@@ -185,7 +181,6 @@ def _have_same_times(run: Trajectory, other: Trajectory) -> bool:
 
 
 def _told(copies: Mapping[str, str]) -> str:
-    """Which runs are copies of which, with the first few names."""
     names: dict[str, list[str]] = {}
     for name, original in copies.items():
         names.setdefault(original, []).append(repr(name))

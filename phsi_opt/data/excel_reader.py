@@ -26,11 +26,7 @@ Row = tuple[int, list[Any]]
 def read(
     content: Any, title: str, most: int
 ) -> tuple[list[tuple[str, list[Row]]], list[Any]]:
-    """The names of the sheets, each with its filled rows and their numbers.
-
-    Raises:
-        OSError: the workbook cannot be read safely and wholly.
-    """
+    """The names of the sheets, each with its filled rows and their numbers."""
     with zipfile.ZipFile(content) as archive:
         size = sum(part.file_size for part in archive.infolist())
         check_size(size, most, "when decompressed")

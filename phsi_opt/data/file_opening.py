@@ -50,7 +50,6 @@ class NamedFile(os.PathLike[str]):
 
     @property
     def suffix(self) -> str:
-        """What its name ends in, such as ".csv"."""
         return Path(self.name).suffix
 
 
@@ -69,11 +68,7 @@ class OpenedFile:
 
 
 def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
-    """The text or the bytes of a path, an open file, or several of them, in turn.
-
-    Raises:
-        DataError: this is no source, or a file cannot be read so.
-    """
+    """The text or the bytes of a path, an open file, or several of them, in turn."""
     is_one = hasattr(source, "read") or not isinstance(source, list | tuple | Iterator)
     sources = [source] if is_one else list(source)
     is_fine = [isinstance(file, PATHS) or hasattr(file, "read") for file in sources]
@@ -99,11 +94,7 @@ def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
 
 
 def run_names(sources: Iterable[Any]) -> list[str]:
-    """The files' names without folder and suffix; the whole path where two agree.
-
-    Raises:
-        DataError: a file is listed twice.
-    """
+    """The files' names without folder and suffix; the whole path where two agree."""
     sources = list(sources)
     places = []
     for file in filter(lambda one: isinstance(one, PATHS), sources):

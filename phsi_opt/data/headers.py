@@ -53,7 +53,6 @@ class Header:
 
     @classmethod
     def of(cls, text: str) -> "Header":
-        """The label and the unit of a header."""
         of_matrix = OF_MATRIX.fullmatch(text)
         if of_matrix is not None:
             return Header(text, f"{of_matrix[1]}_{of_matrix[2]}")

@@ -78,12 +78,7 @@ def read(
     part: str | None,
     may_be_several: bool,
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """The channels of a group that are asked for, or all (None, or if any is missing).
-
-    Raises:
-        OSError: they are too large.
-        DataError: the group is not clear, or a channel cannot be read.
-    """
+    """The channels of a group that are asked for; all of them if one is missing."""
     groups: dict[str, Group] = {}
     for name, group in GROUPS_BY[library](content):
         groups[f"{name} {len(groups) + 1}" if name in groups else name] = group
@@ -347,7 +342,6 @@ Message = tuple[int, bytes]  # the time in ns, and what was sent
 
 
 def _groups_of_bag(content: Any) -> Iterator[tuple[str, Group]]:
-    """The topics of a bag or an MCAP file."""
     by_topic: dict[Topic, list[Message]] = {}
     for topic, time, sent in _messages(content):
         by_topic.setdefault(topic, []).append((time, sent))

@@ -49,9 +49,6 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     A tenth of the spread, from which the estimation comes down, where NaN is given, and
     where no trajectory has enough samples for differences. At least `least_noise`; 1
     where nothing was measured.
-
-    Raises:
-        DataError: no measured value ever changes.
     """
     y = data.stacked("x")
     highest = np.fmax.reduce(y)  # NaN is not measured

@@ -45,7 +45,6 @@ class ChannelLook:
 
     @property
     def called(self) -> str:
-        """Its name as people read it."""
         return called(self.name, self.look.labels)
 
     @cached_property

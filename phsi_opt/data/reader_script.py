@@ -53,7 +53,6 @@ def _read(reader: str, asked: dict[str, Any]) -> tuple[Any, list[np.ndarray]]:
 
 
 def _limit(seconds: float, memory: int, **_: Any) -> None:
-    """Bound what this process may take, where the system can."""
     try:
         import resource
     except ImportError:  # Windows: the time is bounded by who started this

@@ -64,9 +64,6 @@ def read_apart(
         reader: the module whose function ``read`` reads it.
         repair: what to do about a file that cannot be read, as a sentence.
         **asked: further arguments of the reader.
-
-    Raises:
-        DataError: it cannot be read, or needs too much time or memory.
     """
     asked |= {"title": file.title, "most": reading.LARGEST_FILE}
     question = {"reader": reader, "asked": asked, "limits": asdict(READING_LIMITS)}
@@ -136,7 +133,6 @@ def _why_not(code: int | None) -> str:
 
 
 def _answer(plain: bytes, written: bytes) -> dict[str, Any]:
-    """The answer of the script, with its arrays."""
     try:
         answer: dict[str, Any] = json.loads(plain, object_hook=_dates)
         if "content" in answer:

@@ -87,7 +87,6 @@ class Row:
 
     @property
     def width(self) -> int:
-        """The number of cells up to the last that is not empty."""
         return n_filled(self.cells)
 
     @property
@@ -237,7 +236,6 @@ def _typical(rows: Sequence[Row]) -> str:
 
 
 def _sections(rows: Iterable[Row]) -> Iterator[Section]:
-    """The sections of a file, at least one."""
     texts: list[Row] = []
     values: list[Row] = []
     for row in rows:

@@ -387,12 +387,7 @@ class TableReaders:
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Which column of a table plays which part, in the words of the readers.
-
-    Raises:
-        DataError: A name cannot be used, an input has no column, or what is said of the
-            times does not go together.
-    """
+    """Which column of a table plays which part, in the words of the readers."""
 
     states: Any
     time: Any = None

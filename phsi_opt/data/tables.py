@@ -79,7 +79,6 @@ class Table:
     further: tuple[Variable, ...] = ()
 
     def place(self, column: Any, i: int) -> str:
-        """The words for the i-th cell of a column."""
         return f"{self.title}, column {shown(column)}, {self.row(i)}:"
 
     def row(self, i: int) -> str:
@@ -96,11 +95,7 @@ def chosen_part(
     title: str,
     may_be_several: bool,
 ) -> str:
-    """The sheet or group that is the table: the only one with content, or that named.
-
-    Raises:
-        DataError: there is no such one, or it is empty, or there are several.
-    """
+    """The sheet or group that is the table: the one named, or the only one filled."""
     if may_be_several and name not in filled:
         name = None
     if name is not None:
@@ -133,11 +128,7 @@ def table_of_columns(
 
 
 def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
-    """The values of a column, (n_rows,), NaN for missing cells.
-
-    Raises:
-        DataError: a cell is no real number, infinite, huge, or missing.
-    """
+    """The values of a column, (n_rows,), NaN for missing cells."""
     cells = table.frame[column]
     if holds_real_numbers(cells):
         values: np.ndarray = cells.to_numpy(dtype=np.float64, na_value=np.nan)
@@ -207,7 +198,6 @@ def _number(cell: Any, decimal: str | None) -> float:
 
 
 def _repair(cell: Any, table: Table) -> str:
-    """What to do about a cell that is no number."""
     if not isinstance(cell, str):
         return "Convert the column to numbers first (times: seconds since the start)."
     if DECIMAL_COMMA.fullmatch(cell):

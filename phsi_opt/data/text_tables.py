@@ -29,11 +29,7 @@ SEPARATOR = re.compile(r"[^\"\r\n]")
 
 @dataclass(frozen=True)
 class TextFormat:
-    """How a text table is written; what is None is found in the text.
-
-    Raises:
-        DataError: it is nothing that a table can have.
-    """
+    """How a text table is written; what is None is found in the text."""
 
     # the names of the columns of a table without a header
     columns: Sequence[str] | None = None
@@ -78,10 +74,6 @@ def table_of_csv(file: OpenedFile, wanted: Iterable[Any], form: TextFormat) -> T
 
     The columns that are looked for, by name or by number from 0, help to find the
     separator.
-
-    Raises:
-        DataError: the table is empty or not the only one, or a line has too few or too
-            many cells.
     """
     columns = list(wanted)
     names = {column for column in columns if isinstance(column, str)}
@@ -118,12 +110,7 @@ def table_of_rows(
     form: TextFormat,
     separator: str,
 ) -> Table:
-    """The table in some rows of cells.
-
-    Raises:
-        DataError: a row or the number of columns is not as the others say, or there
-            are several tables.
-    """
+    """The table in some rows of cells."""
     import pandas as pd
 
     extent = _extent(rows, form, separator, title)

@@ -75,9 +75,6 @@ def times_in(
     Also the moments at which t is 0 in each trajectory: ``start``, or the first sample;
     none where the times are numbers. ``date_format`` is in the signs of strptime, or
     one of `CLOCKS`; None: ISO 8601; "": these are numbers.
-
-    Raises:
-        DataError: a cell is no time, or not after the one before it in its run.
     """
     further = dt.timedelta(0)
     if isinstance(column, list | tuple):
@@ -223,7 +220,6 @@ def _are_moments(cells: Any, date_format: str | None) -> bool:
 
 
 def _moments(table: Table, column: Any, date_format: str | None) -> list[Moment]:
-    """The moments in a column, all of one kind."""
     moments: list[Moment] = []
     for i, cell in enumerate(table.frame[column]):
         place = table.place(column, i)
@@ -338,7 +334,6 @@ def _check_increasing(
 
 
 def _advice(table: Table, t: np.ndarray, before: int, after: int) -> str:
-    """What to do about the times t of a run, of which two do not increase."""
     advice = (
         "If the table contains several runs, name the column of the run (trajectory), "
         "or cut the file where a run begins; otherwise correct the times (a clock set "

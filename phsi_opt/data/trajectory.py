@@ -119,11 +119,7 @@ def run_numbers(runs: Sequence[Trajectory]) -> np.ndarray:
 def check_channels(
     run: Trajectory, states: tuple[str, ...], inputs: tuple[str, ...]
 ) -> None:
-    """Check the columns of a trajectory against the names of the channels.
-
-    Raises:
-        DataError: columns and names differ, or a value cannot be used.
-    """
+    """Check the columns of a trajectory against the names of the channels."""
     for kind, names, values in (("state", states, run.x), ("input", inputs, run.u)):
         n_columns = values.shape[1]
         if n_columns != len(names):

@@ -49,9 +49,6 @@ class ForceAnalysis:
 
         Args:
             equation: None: the one whose force is strongest over its uncertainty.
-
-        Raises:
-            ModelError: the equation has no missing force.
         """
         if equation is None:
             return max(self.strongest_first, key=lambda f: f.where["times_noise"])
@@ -111,7 +108,6 @@ class ForceAnalysis:
 
 
 def _said(force: EquationForce, name: str, **more: Any) -> Answer:
-    """What ``words.jinja`` says of a force under a name."""
     model = force.record.model
     effort = force.variable_words(model.efforts[force.row])
     facts: dict[str, Any] = {

@@ -124,7 +124,6 @@ class EquationForce(Force):
 
     @cached_property
     def follows(self) -> "pd.DataFrame":
-        """The variables that predict the force, best first (see `dependence`)."""
         return dependence(self)
 
     @property

@@ -70,7 +70,6 @@ class ForceRecord:
 
     @property
     def estimate(self) -> ForceEstimate:
-        """The forces with their prior and the linearised problem."""
         return self.along.estimate
 
     def origin_of(self, trajectory: str) -> dt.datetime | None:
@@ -86,7 +85,6 @@ class ForceRecord:
 
     @property
     def labels(self) -> Mapping[str, str]:
-        """What people read for states and inputs."""
         return self.along.data.labels
 
     @property
@@ -173,12 +171,10 @@ class Force:
 
     @property
     def number(self) -> int:
-        """Place among the forces of all equations."""
         return self.record.equations.index(self.equation)
 
     @property
     def row(self) -> int:
-        """Place of the equation among those of the model."""
         return self.record.model.states.index(self.equation)
 
     @property

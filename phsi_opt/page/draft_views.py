@@ -130,7 +130,6 @@ class DataView:
 
     @ui.refreshable_method
     def examples(self) -> None:
-        """Studies to try, as long as there are no measurements."""
         if self.session.draft.data is not None:
             return
         with card():
@@ -146,7 +145,6 @@ class DataView:
 
     @ui.refreshable_method
     def seen(self) -> None:
-        """The measurements over time, and what was noticed of them."""
         chart = self.session.seen_data.chart
         if chart is not None:
             with card():
@@ -155,13 +153,11 @@ class DataView:
 
     @ui.refreshable_method
     def error(self) -> None:
-        """Why the last file was refused."""
         if self.session.upload_error:
             alert(f"This file cannot be used. {self.session.upload_error}")
 
     @ui.refreshable_method
     def wrong(self) -> None:
-        """What is wrong with the data as they are described."""
         if self.session.draft.data is None:
             return
         with card():
@@ -172,7 +168,6 @@ class DataView:
 
     @ui.refreshable_method
     def table(self) -> None:
-        """The columns and what is held out."""
         data = self.session.draft.data
         if data is None:
             return
@@ -364,7 +359,6 @@ class ModelView:
 
     @ui.refreshable_method
     def by_state(self) -> None:
-        """Loss and force of each state, and of each direction that there is."""
         draft = self._draft
         states = draft.names("states")
         every = dict.fromkeys((*states, *draft.table["R"], *draft.table["F"]))

@@ -233,9 +233,6 @@ def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
     Args:
         places: tables with the same columns, a run each; where they lie, by name.
         sheet: that of workbooks, or the group of channels, where the files have it.
-
-    Raises:
-        DataError: a file cannot be read, or has other columns than the first.
     """
     draft = DataDraft(dict(places))
     seen = [survey(NamedFile(place, name), sheet) for name, place in places.items()]
@@ -334,7 +331,6 @@ class ModelDraft:
         return str(self.table.get("type", WITH_ENERGY))
 
     def names(self, what: str) -> list[str]:
-        """The states or the inputs, each once."""
         return list(dict.fromkeys(listed(self.table.get(what, ()))))
 
     def content(self) -> Content:
@@ -375,11 +371,7 @@ class StudyDraft:
 
     @classmethod
     def read(cls, path: Path, places: dict[str, Path] | None = None) -> "StudyDraft":
-        """The drafts of a study file; its tables lie beside it unless told otherwise.
-
-        Raises:
-            StudyFileError: it is not valid.
-        """
+        """Drafts of a study file; its tables lie beside it unless told otherwise."""
         if places is None:
             folder = path.parent.absolute()
             places = {file: folder / file for file in files_of(path)}
@@ -394,7 +386,6 @@ class StudyDraft:
 
     @property
     def places(self) -> dict[str, Path]:
-        """Where each file of the data lies, by its name."""
         return {} if self.data is None else dict(self.data.places)
 
     def as_it_is(self) -> Drafted:
@@ -465,11 +456,7 @@ class Seen:
 
 
 def files_of(path: Path) -> list[str]:
-    """The data files that a study file names.
-
-    Raises:
-        StudyFileError: it cannot be read.
-    """
+    """The data files that a study file names."""
     content = tables_of(path)
     with suppress(TooManyComplaintsError):
         file = usable(content, Complaints(content))
@@ -514,11 +501,7 @@ def checked(
 def fitted_file(
     path: Path, places: Mapping[str, Path], added: Sequence[str], hold: Hold
 ) -> StudyFile:
-    """A draft that was written, with the effects added and the inputs held so.
-
-    Raises:
-        StudyFileError: a data file has changed since.
-    """
+    """A draft that was written, with the effects added and the inputs held so."""
     file = StudyFile.read(path, places)
     new = [one for one in added if one not in file.steps.added]
     return file.with_added(*new).with_hold(hold)

@@ -133,11 +133,7 @@ class Sessions:
         self._making = threading.Lock()  # two windows of a browser have one session
 
     def of(self, key: str) -> Session:
-        """The session of a browser; a new one where it has none.
-
-        Raises:
-            DataError: there are too many already, all with somebody's work.
-        """
+        """The session of a browser; a new one where it has none."""
         with self._making:
             if key not in self._by_key:
                 self._make_room()
@@ -148,7 +144,6 @@ class Sessions:
         return session
 
     def begin_again(self, key: str) -> Session:
-        """A new session in the place of the one that a browser has."""
         if key in self._by_key:
             self._by_key.pop(key).close()
         return self.of(key)

@@ -285,7 +285,6 @@ class Session:
                 self.draft.data = None
 
     def choose_sheet(self, name: str) -> None:
-        """Take the table of another sheet of a workbook, or group of channels."""
         with self._looking_again() as data:
             if data.places:
                 found = self._call(data.places, drafts.look_at, data.places, name)
@@ -343,12 +342,10 @@ class Session:
 
     @property
     def model(self) -> Model | None:
-        """The one that is shown; None before there is one."""
         return None if self.now is None else self.models[self.now]
 
     @property
     def content(self) -> StudyContent | None:
-        """The study as it stands; None before there is one."""
         return None if self.model is None else self.model.content
 
     @property
@@ -403,7 +400,6 @@ class Session:
         self.fit()
 
     def diagnose(self) -> None:
-        """Ask what the present model lacks."""
         self._order("Diagnosing", partial(worker.diagnose))
 
     def add(self, *effects: str) -> None:
@@ -467,7 +463,6 @@ class Session:
                 self.compared = number
 
     def auto(self) -> None:
-        """Add while an effect is decisive."""
         self._order("Adding effects until none is missing", partial(worker.auto))
 
     def report(self, name: str = REPORT_FILE) -> None:
@@ -502,11 +497,7 @@ class Session:
     def _call(
         self, places: Mapping[str, Path] | None, read: Callable[..., Any], *given: Any
     ) -> Any:
-        """What a function returns in the process that reads; None: files of our own.
-
-        Raises:
-            DataError: the function refuses the files, or takes too long for their size.
-        """
+        """What a function returns in the process that reads; None: files of our own."""
         with self._calling:
             if self.is_closed:
                 raise DataError(HAS_ENDED)
@@ -614,12 +605,7 @@ class Session:
     # ---- files to take away ----------------------------------------------------------
 
     def study_file(self) -> StudyFile:
-        """The study file as it was fitted, with the effects added.
-
-        Raises:
-            DataError: nothing was fitted yet.
-            StudyFileError: a data file has changed since.
-        """
+        """The study file as it was fitted, with the effects added."""
         if self.model is None:
             raise DataError("nothing has been fitted yet; press Fit first.")
         drafted = self.model.drafted
@@ -630,7 +616,6 @@ class Session:
         return made
 
     def close(self) -> None:
-        """End the processes and remove the files."""
         self.is_closed = True
         self._end_worker()
         if self._reader is not None:

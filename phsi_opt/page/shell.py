@@ -79,7 +79,6 @@ class Shell:
         self._job = session.job
 
     def build(self) -> None:
-        """Draw everything and keep up with the session."""
         self._client = ui.context.client  # what was pressed may be gone by then
         ui.colors(primary=PRIMARY, onprimary=ON_PRIMARY)
         ui.add_css(Path(str(files("phsi_opt.page") / "page.css")))
@@ -158,7 +157,6 @@ class Shell:
         dialog.open()
 
     def _go(self, part: str) -> None:
-        """Show a part from its top, with the focus there."""
         self._tabs.set_value(part)
         self._client.run_javascript(FOCUS_CONTENT)
 

@@ -248,7 +248,6 @@ class StudyView:
 
     @ui.refreshable_method
     def force(self) -> None:
-        """What the model lacks along this run."""
         content = self._session.content
         if content is None:
             return

@@ -130,9 +130,6 @@ class WorkerHandle:
         Args:
             within: seconds of its processor; None: as many as it takes.
             order: a function with its arguments.
-
-        Raises:
-            DataError: the order is refused; it took too long; the process ended.
         """
         self.tell(partial(_limited, within, order))
         has_time = True

@@ -354,7 +354,6 @@ def saved(chart: Chart, kind: str, width: float = 7.2) -> bytes:
 
 
 def _size(chart: Chart, width: float) -> tuple[float, float]:
-    """The size of its figure in inches."""
     return width, 1.0 + 2.4 * sum(panel.height for panel in chart.panels)
 
 

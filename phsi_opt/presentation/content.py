@@ -170,7 +170,6 @@ class Equations:
 
     @property
     def rows(self) -> list[Row]:
-        """The table of the parameters."""
         rows = []
         for one in self.parameters:
             name = f"{one.symbol}: {one.name}" if one.symbol else one.name
@@ -227,7 +226,6 @@ class Run:
         return f"{self.name} ({self.part})"
 
     def holds(self, t: float) -> bool:
-        """Whether a time lies within the record."""
         times = self.channels[0].t
         return bool(times[0] <= t <= times[-1])
 
@@ -331,7 +329,6 @@ class Diagnosed:
 
     @property
     def listed(self) -> tuple[Ranked, ...]:
-        """The candidates that a report lists."""
         return tuple(one for one in self.ranking if one.is_likely)[:12]
 
     def rows(self, unit: str) -> list[Row]:
@@ -410,7 +407,6 @@ class StudyContent:
 
     @property
     def error_rows(self) -> list[Row]:
-        """The table of the errors step by step."""
         rows = []
         for k, step in enumerate(self.steps):
             row = {"Step": str(k), "Model": proper_names(step.label)}
@@ -426,7 +422,6 @@ class StudyContent:
 
     @property
     def run_rows(self) -> list[Row]:
-        """The table of the errors of every run and channel, by model."""
         largest: dict[str, float] = {}
         for run in self.runs:
             for one in run.channels:

@@ -166,7 +166,6 @@ class StudyRecord:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know of the measurements."""
         return (*self.training.notes, *map("held out: {}".format, self.judging_notes))
 
     @property
@@ -176,11 +175,9 @@ class StudyRecord:
         return tuple(note for note in notes if note not in self.training.notes)
 
     def data_chart(self) -> "Chart":
-        """All measurements, those that are fitted first."""
         return self.train.chart(self.held_out, self.final)
 
     def told(self, *effects: Effect) -> str:
-        """Effects as people read them."""
         return effects_words(effects, self.train.labels)
 
     def called(self, label: str) -> str:
@@ -294,11 +291,7 @@ class StudyRecord:
             return replace(fit, doubts=Later.known(NOT_FOLLOWED))
 
     def larger(self, effect: Effect, found: Candidate | None) -> Fit:
-        """The present model with one effect, from what a diagnosis found of it.
-
-        Raises:
-            SolveError: no fit was found that is as good as the present one.
-        """
+        """The present model with one effect, from what a diagnosis found of it."""
         present = self.last.fit
         if found is not None and found.fit is not None:
             fit = thorough_fit(self.training, self.loss, found.fit)
@@ -337,11 +330,6 @@ class StudyRecord:
         A law of one variable, or of a difference, is shown against that; others against
         what predicts them best. All other values are those of the present fit: a base
         model that was fitted without the effect would make up for a part of it.
-
-        Raises:
-            ModelError: the effect is one of a sensor, or its equation can lack no
-                force.
-            SolveError: no states were found that obey the smaller model.
         """
         if effect.slot == "sensor":
             raise ModelError(

@@ -134,7 +134,6 @@ class SeenColumn(Column):
 
     @property
     def title(self) -> str:
-        """Its header with its unit."""
         title = " ".join(self.column.split())
         is_told = not self.unit or self.unit in title
         return title if is_told else f"{title} [{self.unit}]"
@@ -155,12 +154,10 @@ class SeenColumn(Column):
 
     @property
     def answer(self) -> dict[str, Any]:
-        """What JSON has of it."""
         keys = ("column", "part", "name", "unit", "date_format", "hold", "clock")
         return {key: getattr(self, key) for key in (*keys, "said", "wrong")}
 
     def without_cells(self) -> Column:
-        """The same for a user to correct."""
         column = Column(self.source)
         for one in fields(Column)[1:]:
             setattr(column, one.name, getattr(self, one.name))
@@ -180,13 +177,11 @@ class SeenColumn(Column):
         self.date_format, self.other_format = (*best, "", "")[:2]
 
     def becomes(self, part: str, remark: str = "") -> None:
-        """Take a part, and say why."""
         self.part = part
         self.said = _joined(self.said, remark)
 
     @property
     def is_dates(self) -> bool:
-        """Whether most of its cells are dates."""
         return self.said == DATES
 
     @property

@@ -61,11 +61,7 @@ MORE = "There are too many mistakes; the rest of the file was not checked."
 def read_sections(
     path: Path, places: Mapping[str, Path] | None = None
 ) -> tuple[Sections, Measurements]:
-    """Everything that a study file says, and all its measurements.
-
-    Raises:
-        StudyFileError: the file has mistakes; the error lists all of them.
-    """
+    """Everything that a study file says, and all its measurements."""
     faults = Complaints(tables_of(path))
     sections = measured = None
     with suppress(TooManyComplaintsError):

@@ -273,10 +273,6 @@ def parts_of(
 
     Without ``final``, the last of three or more runs is kept for the end; of runs held
     out by their names the last one, or, if that is a single one, the last one to fit.
-
-    Raises:
-        DataError: there is no such run, one of the parts would be empty, or a run is a
-            copy of one of another part.
     """
     last = None
     if final is not None and final.runs != ():

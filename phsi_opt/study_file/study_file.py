@@ -347,11 +347,7 @@ def section_of(data: Measurements, file: str) -> DataSection:
 
 
 def write_table(data: Measurements, path: Path) -> None:
-    """Write the measurements as CSV, every number with all digits.
-
-    Raises:
-        DataError: another file is there.
-    """
+    """Write the measurements as CSV, every number with all digits."""
     unmeasured = [name for name in data.states if name not in data.measured]
     frame = data.to_dataframe().drop(columns=unmeasured)
     text = frame.to_csv(index=False, lineterminator="\n")
@@ -360,11 +356,7 @@ def write_table(data: Measurements, path: Path) -> None:
 
 
 def in_written_units(data: Measurements) -> Measurements:
-    """Measurements for a study file, which computes in SI units.
-
-    Raises:
-        DataError: these are in other units, and so may be the model.
-    """
+    """Measurements for a study file, which computes in SI units."""
     if data.in_si() is not data:
         units = ", ".join(filter(None, data.units.values()))
         raise DataError(
@@ -380,9 +372,6 @@ def joined(
     """Training data and data held out as one, and what tells them apart again.
 
     A run that was split in time becomes two; the second one has the part in its name.
-
-    Raises:
-        DataError: they have other channels.
     """
     train = in_written_units(train)
     if held_out is None:

@@ -50,11 +50,7 @@ ABOUT_FIRST_ORDER = (
 
 
 def study_text(study: Sections) -> str:
-    """The whole file.
-
-    Raises:
-        ModelError: a part has something that a study file cannot hold.
-    """
+    """The whole file."""
     about = ABOUT_ENERGY if study.base.has_energy else ABOUT_FIRST_ORDER
     return f"{HEAD}\n{text_of(_content(study), about)}"
 
@@ -173,11 +169,7 @@ def _model(model: Model) -> Content:
 def shared_parameters(
     model: Model, own_effects: Sequence[Effect]
 ) -> dict[str, Parameter]:
-    """The parameters of all formulas, by name, in the order of the model.
-
-    Raises:
-        ModelError: one name stands for two different parameters.
-    """
+    """The parameters of all formulas, by name, in the order of the model."""
     sums = [model.H]
     for slot in BY_EQUATION:
         sums += getattr(model, slot).values()
@@ -212,7 +204,6 @@ class Source:
     imports: set[str] = field(default_factory=set)
 
     def of(self, value: Any) -> str:
-        """The source of a record, text, number, list, tuple or mapping."""
         if isinstance(value, Code):
             return value
         if isinstance(value, str):

@@ -204,11 +204,7 @@ class TableSurvey:
 
 
 def survey(path: DataFile, part: str | None = None) -> TableSurvey:
-    """Look at a table: of several in a file that of a sheet or group, if it is there.
-
-    Raises:
-        DataError: it cannot be read as a table, or has too few lines.
-    """
+    """Look at a table: of several in a file at that of a sheet or group, if any."""
     table = table_at(path, part=part)
     columns = columns_of(table)
     n_lines = len(table.frame)
@@ -256,11 +252,7 @@ def survey(path: DataFile, part: str | None = None) -> TableSurvey:
 def check_alike(
     first: Sequence[SeenColumn], other: Sequence[SeenColumn], file: str
 ) -> None:
-    """Refuse a further file that is no further run of the same measurement.
-
-    Raises:
-        DataError: it has other columns than the first.
-    """
+    """Refuse a further file that is no further run of the same measurement."""
     differ = sorted({one.column for one in first} ^ {one.column for one in other})
     if differ:
         raise DataError(

@@ -44,11 +44,7 @@ DELETE = "\x7f"  # the one character that JSON leaves as it is and TOML does not
 
 
 def tables_of(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
-
-    Raises:
-        StudyFileError: it cannot be read, or is no TOML.
-    """
+    """The tables of a TOML file."""
     try:
         text = file_text(path, LARGEST_STUDY)
         return toml_tables(text)
@@ -151,11 +147,7 @@ ABOUT_ADDED = "effects added so far, the oldest first"
 
 
 def add_effects(path: Path, names: Iterable[str]) -> Path:
-    """Write effects into ``added`` of a study file; return the file as it was before.
-
-    Raises:
-        DataError: the file has a form that cannot be changed safely.
-    """
+    """Write effects into ``added`` of a study file; return where the old file is."""
     path = Path(
         os.path.realpath(path)
     )  # where the name is a link, the file that it leads to
