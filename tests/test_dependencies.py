@@ -31,8 +31,7 @@ EXTRAS_OF = {
     "phsi_opt/learning": {"neural"},
     "phsi_opt/sweeps/local_workers.py": {"neural"},
     "phsi_opt/page": {"app"},
-    "phsi_opt/data/bag_reader.py": {"loggers"},
-    "phsi_opt/data/hdf5_reader.py": {"loggers"},
+    "phsi_opt/data/array_reader.py": {"loggers"},
     "phsi_opt/data/logger_reader.py": {"loggers"},
 }
 
