@@ -7,8 +7,8 @@ weighed in that order, at least one beside each, until none promises to come nea
 likeliest of that size. So on with two effects and three, as a stand-in may be likelier
 than any one of several laws, and less likely than all of them. A new likeliest model
 gives back each of its effects by turns, as the first may have stood in for what was
-found later. The search ends where the likeliest model is as likely as if what it leaves
-were noise.
+found later. The search ends where the likeliest model is nearly as likely as if what it
+leaves were noise.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -152,14 +152,14 @@ class Search:
         return any(rest.log_evidence > least for rest in rests)
 
     def is_complete(self) -> bool:
-        """Whether the likeliest model is as likely as if it left noise alone."""
+        """Whether the likeliest model is nearly as likely as if it left noise alone."""
         one = next(iter(self.in_order()), None)
         if one is None:
             return False
         if one.key not in self._noise_alone:
             self._noise_alone[one.key] = self.ranking.record.log_noise(one.weighed)
         missing = self._noise_alone[one.key] - one.weighed.log_likelihood
-        return missing < DECISIVE_EVIDENCE
+        return missing < max(DECISIVE_EVIDENCE, LEAST_FINDING * one.log_evidence)
 
     def in_order(self) -> list[Combination]:
         """What was weighed, the likeliest first."""
