@@ -59,7 +59,7 @@ def _in_matlab(content: Any) -> Named:
     # SciPy calls each table "None": several are no duplicates, and get their names.
     lost = 'Duplicate variable name "(?!None")|Unreadable variable'
     warnings.filterwarnings("error", lost)
-    variables = {}
+    variables: dict[str, tuple[str, Any, str]] = {}
     for name, value in loadmat(content).items():
         if isinstance(value, MatlabOpaque):
             name = str(value["s0"].item(), "latin-1")

@@ -141,9 +141,9 @@ class _Judge:
             search.run()
         least = -np.inf if single is None else single.log_evidence
         several = self.several(search, least)
-        is_whole = several is not None and several.is_complete
-        if found is not None or is_whole:
-            yield from filter(None, (several if is_whole else None, single))
+        whole = several if several is not None and several.is_complete else None
+        if found is not None or whole is not None:
+            yield from filter(None, (whole, single))
             return
         highest = least if several is None else several.log_evidence
         self.weigh_functions(highest)
