@@ -159,11 +159,16 @@ class DiagnosedModel:
     def evidence_record(self) -> EvidenceRecord:
         """The records, beside which larger models are weighed.
 
+        The base begins at its fit, and where the fit began; the likelier counts.
+
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
         held_out = self.judged.record if self.is_held_out else None
-        return EvidenceRecord.of(self.record, held_out)
+        record = EvidenceRecord.of(self.record, held_out)
+        if self.is_noise:
+            return record
+        return record.better_at(self.fit.start) or record
 
     def share_explained(self, larger: "DiagnosedModel") -> float:
         """Share of the judging squared error above the noise floor that is gone."""

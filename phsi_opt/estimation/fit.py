@@ -170,6 +170,8 @@ class Fit(Identified, WithResiduals, Summarised):
         units: Unit by name, of states, inputs and the time ``t``.
         provenance: What the fit was made from: version, loss, settings, digest of the
             data.
+        start: Values of free parameters from which the solver began, by name; where a
+            fit went on from another one, those of that.
         states: Estimated states at the samples, (n_samples, n_states) per trajectory;
             empty for a loaded fit.
         steps: Integration steps in every gap between samples, (n_samples - 1,) per
@@ -194,6 +196,7 @@ class Fit(Identified, WithResiduals, Summarised):
     bic: float = np.nan
     units: Mapping[str, str] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    start: Mapping[str, float] = field(default_factory=dict)
     states: tuple[np.ndarray, ...] = ()
     steps: tuple[np.ndarray, ...] = ()
     huber: float | None = None

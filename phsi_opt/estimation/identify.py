@@ -121,7 +121,9 @@ def fit_of_task(
     if raise_on_failure:
         _raise_failure(estimate)
     seconds = time.perf_counter() - began
-    fit = replace(estimate.fit(), seconds=seconds, data=task.aligned.data)
+    before = {} if start is None else start.start
+    values = {name: task.model.values[name] for name in task.model.free} | before
+    fit = replace(estimate.fit(), seconds=seconds, start=values, data=task.aligned.data)
     return replace(fit, doubts=Later(partial(doubts_of, fit, task.aligned)))
 
 

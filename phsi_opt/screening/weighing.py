@@ -409,35 +409,48 @@ class EvidenceRecord:
         that has gained by more than its own size has found a better one.
         """
         worth = self.base.log_likelihood + STRONG_EVIDENCE
+        return self._better(self._within(larger, self.base.model), worth)
+
+    def better_at(self, values: Mapping[str, float]) -> "EvidenceRecord | None":
+        """The same begun at other values of its parameters.
+
+        A fit without a force may have led to where the model hardly moves, and what it
+        lacks cannot be told.
+        """
+        theta = self._start(self.base.model, {}).theta
+        unknown = Theta.of(self.base.model, self.weighing.runs)
+        theta = unknown.from_values(values, theta)
+        theta = np.clip(theta, unknown.lower, unknown.upper)
+        return self._better(replace(self.base, theta=theta, processes=None), -np.inf)
+
+    def _better(self, start: Start, worth: float) -> "EvidenceRecord | None":
         try:
-            found = self.weighed_within(larger, self.base.model, worth)
+            found = self.weighing.weighed(start, worth)
         except SolveError:
             return None
         if found.log_evidence < self.base.log_evidence + STRONG_EVIDENCE:
             return None
         return replace(self, base=found)
 
-    def weighed_within(
-        self, larger: Weighed, model: Model, worth: float = -np.inf
-    ) -> Weighed:
+    def weighed_within(self, larger: Weighed, model: Model) -> Weighed:
         """A model that a larger one contains, begun where the larger one is likeliest.
 
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
+        return self.weighing.weighed(self._within(larger, model))
+
+    def _within(self, larger: Weighed, model: Model) -> Start:
         unknown = Theta.of(model, self.weighing.runs)
         own = list(map(larger.names.index, unknown.names))
         states = larger.states[:, list(map(larger.model.states.index, model.states))]
         sigma = larger.disturbances.sigma[:, : self.weighing.n_states]
-        return self.weighing.weighed(
-            Start(
-                model=model,
-                theta=larger.theta[own],
-                states=states,
-                processes=larger.processes,
-                disturbances=replace(larger.disturbances, sigma=sigma),
-            ),
-            worth,
+        return Start(
+            model=model,
+            theta=larger.theta[own],
+            states=states,
+            processes=larger.processes,
+            disturbances=replace(larger.disturbances, sigma=sigma),
         )
 
     def weighed(
