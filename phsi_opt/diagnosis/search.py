@@ -139,12 +139,12 @@ class Search:
         """The likeliest models of a size that no smaller model equals."""
         highest = max((one.log_evidence for one in self.known.values()), default=0.0)
         least = FAR_BEHIND * max(highest, 0.0)
-        alike = [one for one in self.in_order() if len(one.effects) == size]
-        return [
-            one
-            for one in alike
-            if one.log_evidence > least and not self._has_equal(one)
-        ][:BEAM]
+        beam = []
+        for one in self.in_order():
+            is_far = len(one.effects) != size or one.log_evidence <= least
+            if not is_far and not self._has_equal(one):
+                beam.append(one)
+        return beam[:BEAM]
 
     def _has_equal(self, one: Combination) -> bool:
         least = (1 - LEAST_FINDING) * one.log_evidence

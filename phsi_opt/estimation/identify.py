@@ -121,8 +121,8 @@ def fit_of_task(
     if raise_on_failure:
         _raise_failure(estimate)
     seconds = time.perf_counter() - began
-    before = {} if start is None else start.start
-    values = {name: task.model.values[name] for name in task.model.free} | before
+    values = dict(zip(task.model.free, task.model.theta.tolist(), strict=True))
+    values |= {} if start is None else start.start
     fit = replace(estimate.fit(), seconds=seconds, start=values, data=task.aligned.data)
     return replace(fit, doubts=Later(partial(doubts_of, fit, task.aligned)))
 
