@@ -15,6 +15,7 @@ from phsi_opt.model_error.joint_estimate import JointPoint
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
+from problems.judges.couplings import rooms
 from tests.systems import Number, pair, positive
 
 T = np.linspace(0.0, 8.0, 81)
@@ -98,6 +99,27 @@ def pushed_at_random() -> ph.Measurements:
     x[:, 0] += 0.02 * rng.normal(size=len(x))
     x[:, 1] = np.nan
     return ph.Measurements.from_arrays(dt * np.arange(len(x)), x, states=["x", "v"])
+
+
+def test_the_base_begins_where_its_fit_began_too() -> None:
+    """Without an exchange of heat a fit makes a room so large that nothing heats it."""
+    case = rooms(np.random.default_rng(77_113))
+    fit = ph.identify(case.model, case.data[:-1])
+    assert fit.start == {"C1": 20.0, "g1": 0.4, "C2": 20.0, "g2": 0.4}
+    assert fit.values["C2"] > 1e3
+    record = EvidenceRecord.of(ph.compare(fit, case.data[:-1]).record, None)
+    better = record.better_at(fit.start)
+    assert better is not None
+    assert better.base.log_evidence > record.base.log_evidence + 30
+    assert 10 < better.base.model.values["C2"] < 40
+    assert better.better_at(fit.start) is None
+
+
+def test_what_a_model_leaves_is_noise_or_not() -> None:
+    record = record_of(LOSSES["quadratic drag"])
+    whole = weighed(record, "quadratic drag")
+    assert abs(record.log_noise(whole) - whole.log_likelihood) < DECISIVE_EVIDENCE
+    assert record.log_noise(record.base) > record.base.log_likelihood + 20
 
 
 def test_parameters_are_where_the_evidence_is_largest_and_not_beside_it() -> None:

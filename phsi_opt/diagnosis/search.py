@@ -157,7 +157,10 @@ class Search:
         if one is None:
             return False
         if one.key not in self._noise_alone:
-            self._noise_alone[one.key] = self.ranking.record.log_noise(one.weighed)
+            self._noise_alone[one.key] = np.inf  # where it is not known
+            with suppress(SolveError):
+                noise = self.ranking.record.log_noise(one.weighed)
+                self._noise_alone[one.key] = noise
         missing = self._noise_alone[one.key] - one.weighed.log_likelihood
         return missing < max(DECISIVE_EVIDENCE, LEAST_FINDING * one.log_evidence)
 
