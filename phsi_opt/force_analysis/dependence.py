@@ -19,7 +19,7 @@ under 'parameters'. Size and sign of the force in the tables are those of the
 difference.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -203,11 +203,16 @@ def causes_of(force: Force) -> Causes:
     second = 0.0  # what a cause has to add beside a stronger one
     while True:
         known = sum(contributions.values())
-        shares = _shares_beside(force, bases, contributions)
-        strongest = _strongest(shares, known + second)
-        if strongest is None:
+        shares = {}
+        for cause in CAUSES:
+            if cause not in contributions and cause in (*bases, "time"):
+                shares[cause] = _share(force, bases, [*contributions, cause])
+        least = known + second
+        best = max(shares.values(), default=0.0)
+        good = [c for c in shares if shares[c] > least and shares[c] >= best - 0.025]
+        if not good:
             break
-        contributions[strongest] = shares[strongest] - known
+        contributions[good[0]] = shares[good[0]] - known
         second = 0.2
     causes = Causes(contributions)
     is_driven = list(contributions)[1:2] == ["inputs"] and "inputs" in causes.named
@@ -248,21 +253,6 @@ def _share(
     functions = [bases[cause] for cause in causes if cause != "time"]
     error = force.left_out_error(functions, sought, "inputs" in causes)
     return explained_share(error, force.squares)
-
-
-def _shares_beside(
-    force: Force, bases: Mapping[str, np.ndarray], known: Collection[str]
-) -> dict[str, float]:
-    """What known causes and one further cause predict together, by that cause."""
-    causes = [one for one in CAUSES if one not in known and one in (*bases, "time")]
-    return {cause: _share(force, bases, [*known, cause]) for cause in causes}
-
-
-def _strongest(shares: Mapping[str, float], least: float) -> str | None:
-    """The cause of the largest share, the first of those that are as good."""
-    as_good = max(shares.values(), default=0.0) - 0.025
-    good = (one for one, share in shares.items() if share > least and share >= as_good)
-    return next(good, None)
 
 
 def _is_closed_loop(force: Force) -> bool:

@@ -20,7 +20,6 @@ from phsi_opt.force_analysis.cross_validation import (
 )
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import state_units
-from phsi_opt.model.symbolic import Expressions, function_of
 from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.statistics import TINY
 
@@ -113,11 +112,6 @@ class ForceRecord:
         return self.points.values(self.model.rhs())
 
     @cached_property
-    def losses(self) -> np.ndarray:
-        """-R dH/dx of the model, (n_intervals, n_states)."""
-        return self.points.values(function_of(self.model, "losses", _losses))
-
-    @cached_property
     def slopes(self) -> np.ndarray:
         """Slopes of dx/dt in the parameters that do not stand at a bound, of rms one.
 
@@ -156,10 +150,6 @@ class ForceRecord:
         known |= zip(model.states, self.points.x.T, strict=True)
         known |= zip(model.inputs, self.points.u.T, strict=False)
         return known[name]
-
-
-def _losses(parts: Expressions) -> ca.SX:
-    return -ca.vertcat(*parts.losses)
 
 
 @dataclass(frozen=True, eq=False)

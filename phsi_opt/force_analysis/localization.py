@@ -102,8 +102,9 @@ class Pace:
         x = record.points.x
         rates = np.sqrt(np.mean(record.rates**2, axis=0))
         times = np.std(x, axis=0) / np.maximum(rates, TINY)
+        is_constant = np.mean(force.w) ** 2 > MOST_OF_IT * np.mean(force.w**2)
         return cls(
-            0.0 if is_mostly_constant(force.w) else _frequency(record, force.w),
+            0.0 if is_constant else _frequency(record, force.w),
             _frequency(record, x),
             float(np.min(times, initial=np.inf)),
             float(np.median(record.estimate.grid.h)),
@@ -153,11 +154,6 @@ class Pace:
         ratio = self.strength / self.own
         words = f"{number(ratio, 2)} times" if ratio >= 1 else f"{100 * ratio:.2g} % of"
         return f"{words} the net {quantity} in the model"
-
-
-def is_mostly_constant(w: np.ndarray) -> bool:
-    """Whether most of the mean square of a force (n_intervals,) is that of its mean."""
-    return bool(np.mean(w) ** 2 > MOST_OF_IT * np.mean(w**2))
 
 
 def _frequency(record: ForceRecord, signals: np.ndarray) -> float:

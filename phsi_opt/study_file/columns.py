@@ -148,11 +148,6 @@ class SeenColumn(Column):
         return bool(np.all((steps > 0) & (steps % 1 == 0)) and np.median(steps) == 1)
 
     @property
-    def rises_by_one(self) -> bool:
-        """Whether each cell is one more than the cell above it."""
-        return self.values is not None and bool(np.all(np.diff(self.values) == 1))
-
-    @property
     def answer(self) -> dict[str, Any]:
         keys = ("column", "part", "name", "unit", "date_format", "hold", "clock")
         return {key: getattr(self, key) for key in (*keys, "said", "wrong")}
@@ -199,7 +194,7 @@ class SeenColumn(Column):
         """Whether nothing speaks against a time, if the column increases."""
         if self.values is None or self.unit not in ("", *TIMES):
             return self.is_dates
-        return not self.rises_by_one
+        return not np.all(np.diff(self.values) == 1)  # a number of the line
 
     def is_held(self, runs: Sequence[np.ndarray]) -> bool:
         """Whether it is constant between jumps, in its runs; gaps tell nothing.
