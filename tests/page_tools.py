@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
 from problems.examples.friction_spring import CSV
@@ -149,15 +148,3 @@ def faults(page: "Page") -> list[str]:
         if one["impact"] in ("serious", "critical"):
             told.append(f"{one['help']}: {places}")
     return told
-
-
-def contrast(one: str, other: str) -> float:
-    """Ratio of luminances by the Web Content Accessibility Guidelines 2."""
-    low, high = sorted([_luminance(one), _luminance(other)])
-    return (high + 0.05) / (low + 0.05)
-
-
-def _luminance(colour: str) -> float:
-    parts = np.array([int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)])
-    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
-    return float(linear @ [0.2126, 0.7152, 0.0722])

@@ -1,9 +1,8 @@
-"""The page without a browser: drafts, session, worker, limits, words, colours."""
+"""The page without a browser: drafts, session, worker, limits, words."""
 
 import asyncio
 import gc
 import os
-import re
 import signal
 import sys
 import time
@@ -31,18 +30,16 @@ from phsi_opt.page.guards import UploadLimit
 from phsi_opt.page.parts import complaint_words, words
 from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Job, Session
-from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import beside, rows_of
 from phsi_opt.page.worker import Shown, Turns, waits
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.study_file.columns import INPUT, STATE, TIME, UNUSED, Column
 from phsi_opt.study_file.gallery import GALLERY
 from phsi_opt.study_file.toml_text import toml_tables
-from tests.page_tools import contrast, spring_table
+from tests.page_tools import spring_table
 from tests.test_logger_files import mdf_file, tdms_file
 from tests.waiting import wait_for
 
-CSS = Path(ph.__file__).parent / "page" / "page.css"
 # What the page was given of ``studied``, whether what is missing was said to be worked
 # out, and what was said of the work.
 SHOWN: list[tuple[StudyContent, bool, Any]] = []
@@ -748,24 +745,3 @@ def test_the_page_is_for_this_machine_alone_unless_told_otherwise(tmp_path) -> N
     path.write_text("[data]\n")  # told before anything is served
     with pytest.raises(ph.StudyFileError, match="things to correct"):
         serve(path)
-
-
-# ---- colours -------------------------------------------------------------------------
-
-
-def colors(block: str) -> dict[str, str]:
-    return dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block))
-
-
-def test_every_text_has_enough_contrast_to_its_ground_in_light_and_dark() -> None:
-    light, dark = re.findall(
-        r"(?:root|body\.body--dark) \{(.*?)\}", CSS.read_text(), re.S
-    )[:2]
-    for named in (colors(light), colors(dark)):
-        for ink in ("ink", "faint", "good", "bad", "strong"):
-            for ground in ("ground", "card"):
-                assert contrast(named[ink], named[ground]) >= 4.5, (ink, ground)
-        assert contrast(named["good"], named["good-ground"]) >= 4.5
-        assert contrast(named["bad"], named["bad-ground"]) >= 4.5
-    assert contrast(PRIMARY, ON_PRIMARY) >= 4.5
-    assert contrast("#8fc1f7", "#0d1b2a") >= 4.5  # of filled buttons in the dark

@@ -66,13 +66,10 @@ from phsi_opt.study.content import study_content
 from phsi_opt.study.record import StudyRecord
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
-from tests.page_tools import contrast
 
 MOST_BYTES = 1_500_000
 ORDER = ["verdict", "runs", "errors", "data", "equations", "where", "ranked", "checks"]
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>$\\x$ {{7*7}}"
-# Colours of texts on the page and on cards, by name in the style sheet.
-TEXT_COLOURS = ["text", "quiet", "link", "good", "look", "bad"]
 
 
 def measurements(runs: int, friction: float = 2.0) -> ph.Measurements:
@@ -673,15 +670,6 @@ def test_thinning_keeps_the_extremes_the_ends_and_a_gap() -> None:
 ])  # fmt: skip
 def test_units_of_rates_are_those_that_people_write(unit, of_time, rate) -> None:
     assert rate_unit(unit, of_time) == rate
-
-
-def test_texts_have_a_contrast_of_four_and_a_half_in_both_modes(page: str) -> None:
-    pairs = re.findall(r"--(\w+): light-dark\((#\w{6}), (#\w{6})\)", page)
-    for mode in (1, 2):
-        colours = {pair[0]: pair[mode] for pair in pairs}
-        for ground in ("page", "card"):
-            for name in TEXT_COLOURS:
-                assert contrast(colours[name], colours[ground]) >= 4.5, (name, ground)
 
 
 def test_a_second_storage_has_the_same_name_and_value_everywhere() -> None:
