@@ -29,7 +29,7 @@ from phsi_opt.presentation.units import in_si
 from phsi_opt.reading import file_bytes, why_not_read
 from phsi_opt.study_file.gallery import GALLERY, base_model
 from phsi_opt.study_file.study_file import StudyFile
-from phsi_opt.study_file.survey import check_alike, first_text, survey, unfilled
+from phsi_opt.study_file.survey import first_text, known_values, surveys, unfilled
 from phsi_opt.study_file.toml_text import add_effects, tables_of
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.writing import make_folder, write_new, write_whole
@@ -63,10 +63,7 @@ def first_study(
             f"{study} exists already; nothing was written. Give another name with "
             "--study, or overwrite it with --force."
         )
-    table = survey(tables[0])
-    for further in tables[1:]:
-        other = survey(further)
-        check_alike(table.columns, other.columns, str(other.path))
+    table, *_ = surveys(tables)
     write_whole(study, first_text(table, tables, study.parent, base))
     needs: tuple[Complaint, ...] = ()
     try:
@@ -77,7 +74,7 @@ def first_study(
     shown = _shown(data, study, draws)
     facts = {"table": table, "study": study, "path": tables[0], "needs": needs}
     facts |= {"data": data, "picture": shown.get("picture")}
-    facts["known"] = _known_values(study)
+    facts["known"] = known_values(tables_of(study))
     content = {
         "study_file": str(study),
         "read": {one.key: one.content for one in table.read},
@@ -86,17 +83,6 @@ def first_study(
         "needs": list(map(vars, needs)),
     }
     return Answer(lines(__package__, "first_study", **facts), content | shown)
-
-
-def _known_values(study: Path) -> list[str]:
-    """The parameters of a study file that are not estimated, such as "m = 1 kg"."""
-    known = []
-    for name, one in tables_of(study).get("parameters", {}).items():
-        told = one if isinstance(one, dict) else {"value": one}
-        value = told.get("value", told.get("start") if told.get("fixed") else None)
-        if value is not None:
-            known.append(f"{name} = {value} {told.get('unit', '')}".rstrip())
-    return known
 
 
 def _shown(data: object, study: Path, draws: bool) -> dict[str, object]:
@@ -177,7 +163,7 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
         held_out=held_out,
         final=final,
         content=content,
-        known=_known_values(path),
+        known=known_values(tables_of(path)),
         kind=type(model).__name__,
         n_effects=len(catalogue(model, train.units)),
         notes=notes,

@@ -25,7 +25,6 @@ from phsi_opt.page.drafts import (
     in_megabytes,
     let_be_known,
     parameter_of,
-    parameter_words,
 )
 from phsi_opt.page.parts import (
     Then,
@@ -55,6 +54,7 @@ from phsi_opt.study_file.columns import (
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
 from phsi_opt.study_file.keys import key_at, listed
 from phsi_opt.study_file.model_reading import WITH_ENERGY, WITHOUT_ENERGY
+from phsi_opt.study_file.survey import value_words
 
 # ---- part 1: the measurements --------------------------------------------------------
 
@@ -412,7 +412,7 @@ class ModelView:
             if one.get("is_assumed"):
                 place = ui.element("div").style(STAYING_PLACE)
                 with place, ui.row().classes("items-center") as row:
-                    words = parameter_words(one)
+                    words = value_words(name, one)
                     said = f"{words} is an assumption: enter your value, or"
                     ui.label(said).classes("bad")
                     button(f"Confirm {words}", given, quiet=True).props("dense")

@@ -31,7 +31,7 @@ from phsi_opt.study_file.keys import (
 from phsi_opt.study_file.model_reading import WITH_ENERGY, WITHOUT_ENERGY
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.study_text import text_of
-from phsi_opt.study_file.survey import check_alike, survey
+from phsi_opt.study_file.survey import surveys
 from phsi_opt.study_file.toml_text import tables_of, toml_tables, toml_value
 
 Content = dict[str, Any]
@@ -235,9 +235,9 @@ def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
         sheet: that of workbooks, or the group of channels, where the files have it.
     """
     draft = DataDraft(dict(places))
-    seen = [survey(NamedFile(place, name), sheet) for name, place in places.items()]
+    files = [NamedFile(place, name) for name, place in places.items()]
+    seen = surveys(files, sheet)
     for one in seen:
-        check_alike(seen[0].columns, one.columns, one.table.title)
         draft.n_samples += one.n_lines
         draft.runs += one.runs
         if one.step is not None:
@@ -296,13 +296,6 @@ def let_be_known(parameter: Content, is_known: bool) -> None:
         parameter["fixed"] = True
     if number is not None:
         parameter["value" if is_known else "start"] = number
-
-
-def parameter_words(parameter: Content) -> str:
-    """Such as "m = 1 kg"."""
-    value = value_text(parameter.get("value", ""))
-    unit = parameter.get("unit", "")
-    return f"{parameter.get('name', '')} = {value} {unit}".rstrip()
 
 
 @dataclass

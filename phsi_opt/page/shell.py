@@ -21,11 +21,11 @@ from phsi_opt.page.draft_views import (
     DataView,
     ModelView,
 )
-from phsi_opt.page.drafts import parameter_words
 from phsi_opt.page.parts import alert, button, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
 from phsi_opt.presentation.html_report import ours
+from phsi_opt.study_file.survey import value_words
 
 PRIMARY = "#1f5fa8"  # 6.5:1 below white text
 ON_PRIMARY = "#ffffff"
@@ -274,7 +274,8 @@ def _what_next(session: Session) -> str:
         return f"Still to correct: {len(session.complaints)} in part 2."
     said = "Data and model are valid: press Fit."
     parameters = session.draft.model.parameters
-    assumed = [parameter_words(one) for one in parameters if one.get("is_assumed")]
+    known = [one for one in parameters if one.get("is_assumed")]
+    assumed = [value_words(one["name"], one) for one in known]
     if assumed:
         said += f" Assumed, not measured: {', '.join(assumed)}."
     return said

@@ -7,10 +7,10 @@ so that what is seen here can be read later. Also: what stands empty in a study 
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import chain
+from itertools import chain, starmap
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -249,17 +249,21 @@ def survey(path: DataFile, part: str | None = None) -> TableSurvey:
     return seen
 
 
-def check_alike(
-    first: Sequence[SeenColumn], other: Sequence[SeenColumn], file: str
-) -> None:
-    """Refuse a further file that is no further run of the same measurement."""
-    differ = sorted({one.column for one in first} ^ {one.column for one in other})
-    if differ:
-        raise DataError(
-            f"{file} has other columns than the first file: {', '.join(differ)} are "
-            "only in one of them. The files of a study are runs of the same machine "
-            "with the same columns; rename the columns, or choose other files."
-        )
+def surveys(paths: Iterable[DataFile], part: str | None = None) -> list[TableSurvey]:
+    """A look at each of some files, which are runs of the same measurement."""
+    first, *others = [survey(path, part) for path in paths]
+    known = set(map(attrgetter("column"), first.columns))
+    for other in others:
+        own = set(map(attrgetter("column"), other.columns))
+        differ = sorted(known ^ own)
+        if differ:
+            raise DataError(
+                f"{other.path} has other columns than the first file: "
+                f"{', '.join(differ)} are only in one of them. The files of a study "
+                "are runs of the same machine with the same columns; rename the "
+                "columns, or choose other files."
+            )
+    return [first, *others]
 
 
 def _is_run(one: SeenColumn) -> bool:
@@ -451,6 +455,19 @@ def first_text(
         places.append((file if is_outside and file.is_absolute() else place).as_posix())
     template = text_template("first_study.toml.jinja")
     return template.render(table=table, files=places, physics=physics, lacking=lacking)
+
+
+def known_values(tables: Mapping[str, Any]) -> list[str]:
+    """The parameters of a study file that are not estimated, such as "m = 1 kg"."""
+    parameters = tables.get("parameters", {})
+    return list(filter(None, starmap(value_words, parameters.items())))
+
+
+def value_words(name: str, parameter: Any) -> str:
+    """Such as "m = 1 kg"; "" where the parameter is estimated."""
+    told = parameter if isinstance(parameter, dict) else {"value": parameter}
+    value = told.get("value", told.get("start") if told.get("fixed") else None)
+    return "" if value is None else f"{name} = {value} {told.get('unit', '')}".rstrip()
 
 
 def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:
