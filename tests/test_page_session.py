@@ -40,9 +40,9 @@ from tests.page_tools import spring_table
 from tests.test_logger_files import mdf_file, tdms_file
 from tests.waiting import wait_for
 
-# What the page was given of ``studied``, whether what is missing was said to be worked
-# out, and what was said of the work.
-SHOWN: list[tuple[StudyContent, bool, Any]] = []
+# What the page was given of ``studied``, and whether what is missing was said to be
+# worked out.
+SHOWN: list[tuple[StudyContent, bool]] = []
 CONSIDERED = ("coulomb friction", "quadratic drag", "cubic stiffness")
 
 
@@ -108,7 +108,7 @@ def studied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
 
     def noted(self: Session, shown: Shown) -> None:
         show(self, shown)
-        SHOWN.append((shown.content, self.is_diagnosing, self.job and self.job.words))
+        SHOWN.append((shown.content, self.is_diagnosing))
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(Session, "_show", noted)
@@ -428,7 +428,7 @@ def test_the_time_that_remains_is_told_from_the_steps_that_are_left(
 ) -> None:
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    job = Job(partial(print), "Fitting the base model", began=100.0)
+    job = Job(partial(print), "Fitting and diagnosing", began=100.0)
     told = []
     for line, seconds in (
         ("screening 26 candidate effects", 4.0),
@@ -450,18 +450,14 @@ def test_the_time_that_remains_is_told_from_the_steps_that_are_left(
 
 
 def test_it_is_told_whether_a_model_is_diagnosed_or_will_be(studied: Session) -> None:
-    told = [(len(one.steps), one.present is not None) for one, _, _ in SHOWN]
+    told = [(len(one.steps), one.present is not None) for one, _ in SHOWN]
     fitted = [(1, False), (1, True)]
     assert told == [*fitted, (2, False), (2, True), (2, True)]
-    for content, is_diagnosing, _ in SHOWN:
+    for content, is_diagnosing in SHOWN:
         assert is_diagnosing == (content.present is None)
         said = words("not_asked", content.steps[-1], "m", is_diagnosing)
         assert ("diagnosis is running" in said) == is_diagnosing
-    assert [said for _, _, said in SHOWN[:2]] == [
-        "Fitted; diagnosing",
-        "Fitted; drawing the law",
-    ]
-    assert {one.stopped for one, _, _ in SHOWN} == {""}, "the verdict says why"
+    assert {one.stopped for one, _ in SHOWN} == {""}, "the verdict says why"
     assert all(one.content.present is not None for one in studied.models)
 
 
@@ -610,28 +606,18 @@ def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
 
 
 def test_what_was_found_is_kept_when_a_solve_is_cancelled_or_its_worker_lost(
-    worker, session, monkeypatch
+    worker, session
 ) -> None:
-    counted_as_made = []
-    show = Session._show
-
-    def noted(self: Session, shown: Shown) -> None:
-        assert self.job is not None
-        counted_as_made.append(self.job.then)
-        show(self, shown)
-
-    monkeypatch.setattr(Session, "_show", noted)
     consider_few(session)
     session.fit()
     wait_for(lambda: session.content is not None)  # fitted; the diagnosis goes on
-    assert counted_as_made[0], "a model counts as made before it is seen"
     assert session.job is not None
     assert session._worker is not None
     pid = pid_of(session)
     session.cancel()
     assert not is_running(pid)
     assert session.job is None
-    assert session.message == "Fitted; cancelled while diagnosing."
+    assert session.message.startswith("Cancelled: Fitting and diagnosing.")
     assert session.content.present is None
     fitted = session.content
     session.diagnose()
@@ -684,7 +670,7 @@ def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
     assert session._worker is not None
     os.kill(pid_of(session), signal.SIGKILL)
     wait_for(lambda: session.job is None)
-    assert "(Fitting the base model)" in session.message
+    assert "(Fitting and diagnosing)" in session.message
     wait_for(lambda: waits_for(other, 1))
     last.cancel()
     wait_for(lambda: other.content is not None)

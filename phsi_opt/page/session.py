@@ -87,11 +87,8 @@ class Job:
     """Work that goes on."""
 
     order: Order
-    label: str  # such as "Fitting the base model"
-    line: str = ""  # what the worker said last of the present model; "" for nothing yet
-    # What it has done once its model is there, in words; "" where it goes on.
-    done: str = ""
-    then: str = ""  # what is done since this model is there; "" where it is not yet
+    label: str  # such as "Fitting and diagnosing"
+    line: str = ""  # what the worker said last; "" for nothing yet
     began: float = field(default_factory=time.monotonic)
     counted: float = 0.0  # when the first of counted steps began
 
@@ -114,16 +111,9 @@ class Job:
         return f"{said}, at most {duration(left)} more for these {n_steps}"
 
     @property
-    def step(self) -> str:
-        """What is done now, such as "Fitted; diagnosing"."""
-        is_done = self.done and self.then
-        return f"{self.done}; {self.then}" if is_done else self.label
-
-    @property
     def words(self) -> str:
         """What is done now, with what the worker said last."""
-        is_new = self.line.lower() not in ("", self.step.lower())
-        return f"{self.step}: {self.line}" if is_new else self.step
+        return f"{self.label}: {self.line}" if self.line else self.label
 
 
 class Session:
@@ -387,7 +377,7 @@ class Session:
         self._fitting = self.draft.as_it_is()
         path = write_whole(self._state / FITTING_FILE, self._fitting.text)
         order = partial(worker.fit, path, self._fitting.places, self._origin)
-        self._order("Fitting the base model", order, "Fitted")
+        self._order("Fitting and diagnosing", order)
 
     def average(self, n: int) -> None:
         """Let the mean of so many samples stand for them, and fit that."""
@@ -406,7 +396,7 @@ class Session:
         """Add an effect of the ranking, or all that are proposed; ask again."""
         said = " and ".join(effects)
         what = effects[0] if len(effects) == 1 else ""
-        self._order(f"Adding {said}", partial(worker.add, what), f"Added {said}")
+        self._order(f"Adding {said} and diagnosing", partial(worker.add, what))
 
     def go_to(self, number: int) -> None:
         """Show a model that was fitted, and go on from it; nothing is lost."""
@@ -476,18 +466,16 @@ class Session:
         if self.job is None:
             return
         message = f"Cancelled: {self.job.label}. Results obtained before are kept."
-        if self.job.done and self.job.then:
-            message = f"{self.job.done}; cancelled while {self.job.then}."
         self._end_worker()
         self.message = message
         self._ready_worker()
         self.version += 1
 
-    def _order(self, label: str, order: Order, done: str = "") -> None:
+    def _order(self, label: str, order: Order) -> None:
         with self._checking:  # of two threads one begins
             if self.job is not None or self.is_closed:
                 return
-            self.job = Job(order, label, done=done)
+            self.job = Job(order, label)
         self.message = ""
         self.failure = ""
         model = self.model if self._fitting is None else None
@@ -544,11 +532,6 @@ class Session:
         if isinstance(message, str) and self.job is not None:
             self.job.take(message)
         elif isinstance(message, Shown):
-            # Whoever sees the model and cancels is told that it is there.
-            if self.job is not None:
-                is_known = message.content.present is not None
-                self.job.then = "drawing the law" if is_known else "diagnosing"
-                self.job.line = ""  # what was said before is of its making
             self._show(message)
             sender.study = self.model.study if self.model else None
         elif isinstance(message, Returned):
@@ -556,7 +539,7 @@ class Session:
         elif message is None:  # it ended by itself, for want of memory perhaps
             if self.job is not None:
                 self.message = (
-                    f"The worker process ended unexpectedly ({self.job.step}). "
+                    f"The worker process ended unexpectedly ({self.job.label}). "
                     "Earlier results are kept; try again, with fewer samples if "
                     "memory is short."
                 )
