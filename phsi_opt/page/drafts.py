@@ -187,6 +187,10 @@ class DataDraft:
             draft.parts[section] = {"way": way_of(section, part), **part}
         return draft
 
+    @property
+    def headers(self) -> list[Any]:
+        return list(map(attrgetter("column"), self.columns))
+
     def of_part(self, part: str) -> list[Column]:
         return [column for column in self.columns if column.part == part]
 

@@ -247,8 +247,7 @@ class Session:
     def _take_file(self, name: str, place: Path) -> None:
         known = self.draft.data
         data = self._look_at({name: place}, known)
-        known_columns = [] if known is None else [one.column for one in known.columns]
-        is_alike = known_columns == [one.column for one in data.columns]
+        is_alike = known is not None and known.headers == data.headers
         is_study = any(at.parent != self._uploads for at in self.draft.places.values())
         if known is not None and is_alike and not is_study:
             known.take_files(self._look_at({**known.places, name: place}, known))
