@@ -16,7 +16,7 @@ from typing import Any
 from phsi_opt.arguments import require_known
 from phsi_opt.errors import DataError
 from phsi_opt.model.slots import BY_EQUATION
-from phsi_opt.presentation.units import measure_of
+from phsi_opt.presentation.units import are_alike, measure_of
 from phsi_opt.study_file.columns import INPUT, STATE, UNUSED, Column
 
 OR_ANY = " or any"  # behind the unit of an input whose coefficient takes up its unit
@@ -183,8 +183,7 @@ def _is_same_quantity(column: Column, wanted: tuple[str, str]) -> bool:
     """Whether two units are of one quantity: m and mm are."""
     if _is_speed_of_rotation(column, wanted[1]):
         return True
-    first, second = map(measure_of, (column.unit, wanted[1].removesuffix(OR_ANY)))
-    return first is not None and second is not None and first.powers == second.powers
+    return are_alike(column.unit, wanted[1].removesuffix(OR_ANY))
 
 
 def _is_speed_of_rotation(column: Column, wanted: str) -> bool:
