@@ -246,37 +246,36 @@ class Session:
 
     def _take_file(self, name: str, place: Path) -> None:
         known = self.draft.data
-        data = self._look_at({name: place}, known)
+        data = self._look_at({name: place})
         is_alike = known is not None and known.headers == data.headers
         is_study = any(at.parent != self._uploads for at in self.draft.places.values())
         if known is not None and is_alike and not is_study:
-            known.take_files(self._look_at({**known.places, name: place}, known))
+            known.take_files(self._look_at({**known.places, name: place}))
         else:
             self.draft.data = data
             why = "is a separate table" if is_alike else "has other columns"
             if known is not None:
                 self.message = f"{name} {why}: it replaces {', '.join(known.places)}."
 
-    def _look_at(
-        self, places: dict[str, Path], known: drafts.DataDraft | None
-    ) -> drafts.DataDraft:
-        """The columns of files, of the sheet or group that is chosen."""
-        sheet = drafts.sheet_of(known.settings) if known else None
-        return self._call(places, drafts.look_at, places, sheet)
+    def _look_at(self, places: dict[str, Path], sheet: str = "") -> drafts.DataDraft:
+        """The columns of files, of a sheet or group; by default of the chosen one."""
+        known = self.draft.data
+        chosen = sheet or (drafts.sheet_of(known.settings) if known else None)
+        return self._call(places, drafts.look_at, places, chosen)
 
     def remove_file(self, name: str) -> None:
         """Take a table away; with the last one its columns go."""
         with self._looking_again() as data:
             (left := self.draft.places).pop(name, None)
             if left:
-                data.take_files(self._look_at(left, data))
+                data.take_files(self._look_at(left))
             else:
                 self.draft.data = None
 
     def choose_sheet(self, name: str) -> None:
         with self._looking_again() as data:
             if data.places:
-                found = self._call(data.places, drafts.look_at, data.places, name)
+                found = self._look_at(data.places, name)
                 self.draft.data = replace(found, parts=data.parts)
 
     @contextmanager
