@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-FORMAT = "phsi_opt fit 2"
+FORMAT = "phsi_opt fit 3"
 IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+\.\d{7,}(?:e[+-]?\d+)?")
 
