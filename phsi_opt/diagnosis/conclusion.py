@@ -137,7 +137,7 @@ class _Judge:
         """What may be named, in the order in which it is asked."""
         found = None if single is None or not single.is_complete else single
         search = Search(self.base, self.ranking, self.effects)
-        if found is None or not search.is_complete():
+        if found is None:
             search.run()
         least = -np.inf if single is None else single.log_evidence
         several = self.several(search, least)
