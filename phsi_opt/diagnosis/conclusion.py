@@ -135,15 +135,15 @@ class _Judge:
 
     def proposals(self, single: _Proposal | None) -> Iterator[_Proposal]:
         """What may be named, in the order in which it is asked."""
-        found = None if single is None or not single.is_complete else single
+        if single is not None and single.is_complete:
+            yield single
+            return
         search = Search(self.base, self.ranking, self.effects)
-        if found is None:
-            search.run()
+        search.run()
         least = -np.inf if single is None else single.log_evidence
         several = self.several(search, least)
-        whole = several if several is not None and several.is_complete else None
-        if found is not None or whole is not None:
-            yield from filter(None, (whole, single))
+        if several is not None and several.is_complete:
+            yield from filter(None, (several, single))
             return
         highest = least if several is None else several.log_evidence
         self.weigh_functions(highest)
