@@ -135,14 +135,15 @@ class _Judge:
 
     def proposals(self, single: _Proposal | None) -> Iterator[_Proposal]:
         """What may be named, in the order in which it is asked."""
-        if single is not None and single.is_complete:
+        search = Search(self.base, self.ranking, self.effects, self.known_or_refitted)
+        is_single = single is not None and single.is_complete
+        if is_single and search.is_complete():
             yield single
             return
-        search = Search(self.base, self.ranking, self.effects)
         search.run()
         least = -np.inf if single is None else single.log_evidence
         several = self.several(search, least)
-        if several is not None and several.is_complete:
+        if is_single or (several is not None and several.is_complete):
             yield from filter(None, (several, single))
             return
         highest = least if several is None else several.log_evidence
@@ -261,6 +262,10 @@ class _Judge:
         self.note(place, **self.as_fitted(one.effect, larger))
         self.refits[one.name] = larger
         return larger
+
+    def known_or_refitted(self, one: Combination) -> DiagnosedModel | str:
+        """The base with effects that were weighed, as far as a search needs it."""
+        return self.refits.get(one.name) or self.refitted(one, thorough=False)
 
     def refitted(self, one: WeighedEffects, thorough: bool) -> DiagnosedModel | str:
         """The base with effects that were weighed; or why they are rejected."""

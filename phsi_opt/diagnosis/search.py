@@ -8,16 +8,18 @@ likeliest of that size. So on with two effects and three, as a stand-in may be l
 than any one of several laws, and less likely than all of them. A new likeliest model
 gives back each of its effects by turns, as the first may have stood in for what was
 found later. The search ends where the likeliest model is nearly as likely as if what it
-leaves were noise.
+leaves were noise, weighed with a force or, as a re-fit has it, without: there corners
+are sharp.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import reduce
 
 import numpy as np
 
+from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import (
     DECISIVE_EVIDENCE,
     FAR_BEHIND,
@@ -94,6 +96,21 @@ def _promise(further: Screened, price: float) -> float:
     return further.gain + float(np.log(further.n_tried)) - price
 
 
+def _missing_in(comparisons: Sequence[Comparison], weighed: Weighed) -> float:
+    """Log likelihood that free runs miss to leave noise of the weighed sizes alone."""
+    runs = [run for one in comparisons for run in one.residuals]
+    sigma = weighed.disturbances.sigma
+    n_states = runs[0].shape[1]
+    in_noise = [run / own[:n_states] for run, own in zip(runs, sigma, strict=True)]
+    scaled = np.concatenate(in_noise)
+    n_values = np.isfinite(scaled).sum(axis=0)
+    is_seen = n_values > 0
+    n_unknown = len(weighed.theta) + len(runs) * n_states
+    n_free = n_values[is_seen] * (1 - n_unknown / n_values.sum())
+    squares = np.nansum(scaled[:, is_seen] ** 2, axis=0) / n_free
+    return float(np.sum(n_free * np.log(squares)) / 2)
+
+
 def _weighed(step: _Step, say: Progress) -> Weighed:
     return weighed_of(step.record, step.further, say)
 
@@ -102,16 +119,20 @@ class Search:
     """The models that were weighed, beginning with those of a ranking."""
 
     def __init__(
-        self, base: DiagnosedModel, ranking: Ranking, effects: Sequence[Effect]
+        self,
+        base: DiagnosedModel,
+        ranking: Ranking,
+        effects: Sequence[Effect],
+        refitted: Callable[[Combination], DiagnosedModel | str],
     ) -> None:
         self.base = base
         self.ranking = ranking
         self.effects = effects
+        self.refitted = refitted  # the base with effects, or why they are rejected
         self.known: dict[frozenset[str], Combination] = {}
         # The largest share of its promise that an effect kept where it was weighed.
         self.kept: dict[str, float] = {}
-        # Log likelihood of models that left noise alone.
-        self._noise_alone: dict[frozenset[str], float] = {}
+        self._completed: dict[frozenset[str], bool] = {}
         for one in ranking.candidates:
             if one.was_weighed and not one.lost:
                 further = ranking.screened[one.name]
@@ -156,13 +177,24 @@ class Search:
         one = next(iter(self.in_order()), None)
         if one is None:
             return False
-        if one.key not in self._noise_alone:
-            self._noise_alone[one.key] = np.inf  # where it is not known
+        if one.key not in self._completed:
+            self._completed[one.key] = False  # where it is not known
             with suppress(SolveError):
-                noise = self.ranking.record.log_noise(one.weighed)
-                self._noise_alone[one.key] = noise
-        missing = self._noise_alone[one.key] - one.weighed.log_likelihood
-        return missing < max(DECISIVE_EVIDENCE, LEAST_FINDING * one.log_evidence)
+                self._completed[one.key] = self._leaves_noise(one)
+        return self._completed[one.key]
+
+    def _leaves_noise(self, one: Combination) -> bool:
+        """Whether that is so beside a force, or in the free runs of a re-fit."""
+        # The weighed model has round corners, and a force in place of sharp ones.
+        weighed = one.weighed
+        missing = self.ranking.record.log_noise(weighed) - weighed.log_likelihood
+        least = max(DECISIVE_EVIDENCE, LEAST_FINDING * one.log_evidence)
+        if missing < least:
+            return True
+        larger = self.refitted(one)
+        if isinstance(larger, str):
+            return False
+        return _missing_in(larger.comparisons, weighed) < least
 
     def in_order(self) -> list[Combination]:
         """What was weighed, the likeliest first."""
