@@ -142,11 +142,16 @@ class _Judge:
             return
         search.run()
         least = -np.inf if single is None else single.log_evidence
-        several = self.several(search, least)
-        if is_single or (several is not None and several.is_complete):
-            yield from filter(None, (several, single))
+        if search.is_complete():
+            several = self.several(search, least)
+            if is_single or (several is not None and several.is_complete):
+                yield from filter(None, (several, single))
+                return
+        elif is_single:
+            yield single
             return
-        highest = least if several is None else several.log_evidence
+        likelier = [one.log_evidence for one, _ in self.together(search, least)]
+        highest = max([least, *likelier])
         self.weigh_functions(highest)
         single = self.single()
         # As long as a force remains, a further law may stand in for what is missing:
@@ -156,6 +161,7 @@ class _Judge:
         )
         if single is not None and not is_late:
             yield single
+        several = self.several(search, least)
         if several is not None:
             yield several
         if single is not None and is_late:
@@ -166,7 +172,7 @@ class _Judge:
 
         These have the log evidence ``highest``, one of them or several together.
         """
-        functions = ranked_functions(self.base, self.ranking, self.functions)
+        functions = ranked_functions(self.base, self.ranking, self.functions, highest)
         self.rivals = [one for one in functions.candidates if not one.lost]
         if not self.functions:
             return

@@ -181,8 +181,12 @@ def _ranked_beside(
     record: EvidenceRecord,
     effects: Sequence[Effect],
     before: float = 0.0,
+    highest: float = 0.0,
 ) -> Ranking:
-    """All candidates beside one weighing of the base; others were asked before."""
+    """All candidates beside one weighing of the base.
+
+    Others were asked before, of a log evidence up to the ``highest``.
+    """
     base.say(f"screening {len(effects)} candidate effects")
     screened = screened_beside(LinearizedRecord.beside_force(record), effects)
     by_name = {str(one.effect): one for one in screened}
@@ -190,8 +194,7 @@ def _ranked_beside(
     chosen = [one for one in screened if one.gain > 0][:MOST_WEIGHED]
     n = len(chosen)
     cases = {f"{k} of {n}": (one, f"{k} of {n}") for k, one in enumerate(chosen, 1)}
-    highest = 0.0
-    worth = -np.inf
+    worth = FAR_BEHIND * highest
     weigh = partial(_weighed_in_turn, record)
     with closing(ahead(weigh, cases, base.executor, base.say)) as results:
         for one in chosen:
@@ -247,11 +250,12 @@ def rank_again(
 
 
 def ranked_functions(
-    base: DiagnosedModel, ranking: Ranking, are_candidates: bool
+    base: DiagnosedModel, ranking: Ranking, are_candidates: bool, highest: float
 ) -> Ranking:
     """Unknown functions that lead either list of screening, weighed.
 
-    Where they are candidates, so are the formulas that they may be.
+    Where they are candidates, so are the formulas that they may be. Those are weighed
+    that may come near the ``highest`` log evidence of what is known.
     """
     base.say("screening unknown functions")
     records = [LinearizedRecord.beside_force(ranking.record)]
@@ -274,7 +278,7 @@ def ranked_functions(
     # The leaders come from all that were asked, and after the effects.
     n_others = len(bells) - sum(map(len, leaders.values()))
     before = ranking.odds + n_others * law_of("unknown").odds
-    further = _ranked_beside(base, ranking.record, functions, before)
+    further = _ranked_beside(base, ranking.record, functions, before, max(highest, 0.0))
     if are_candidates:
         rank_again(base, further, functions)
     further.candidates = [one for one in further.candidates if one.was_weighed]

@@ -35,6 +35,7 @@ from phsi_opt.diagnosis.ranking import (
 )
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
+from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.numbers import enumerated
@@ -191,7 +192,7 @@ class Search:
         least = max(DECISIVE_EVIDENCE, LEAST_FINDING * one.log_evidence)
         if missing < least:
             return True
-        larger = self.refitted(one)
+        larger = self.refitted(one) if corner_widths(weighed.model) else ""
         if isinstance(larger, str):
             return False
         return _missing_in(larger.comparisons, weighed) < least

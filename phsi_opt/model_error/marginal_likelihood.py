@@ -199,6 +199,13 @@ def _without(
     return schur, right[own] - mixed.T @ through[:, -1], through
 
 
+def _numbered(matrix: Any) -> csc_matrix:
+    """A matrix that has the numbers of its entries in their place."""
+    numbers = matrix.copy()
+    numbers.data = np.arange(matrix.nnz)
+    return csc_matrix(numbers)
+
+
 class MarginalLikelihood:
     """The marginal likelihood of a linearised record for disturbances of one structure.
 
@@ -257,24 +264,17 @@ class MarginalLikelihood:
         """The same where other parameters are free to move."""
         return self.relinearized(self.problem, moving)
 
-    def _dynamics(self) -> coo_matrix:
-        """Slopes of the dynamics in states and processes."""
-        if not self.sites:
-            return coo_matrix(self.problem.dynamics_in_states)
-        of_processes = self.effects[self.problem.n_values :]
-        return coo_matrix(hstack([self.problem.dynamics_in_states, of_processes]))
-
-    def _shown(self) -> csr_matrix:
-        """Slopes of the measured values in states and processes."""
-        if not self.sites:
-            return csr_matrix(self.problem.shown_in_states)
-        of_processes = self.effects[: self.problem.n_values]
-        return csr_matrix(hstack([self.problem.shown_in_states, of_processes]))
-
     def _set_layout(self) -> None:
         """Places of all entries, in the order in which `_entries` has them."""
         problem, grid = self.problem, self.problem.grid
-        dynamics, shown = self._dynamics(), self._shown()
+        of_values = self.effects[: problem.n_values]
+        of_dynamics = self.effects[problem.n_values :]
+        self._of_processes = of_values.data, of_dynamics.data
+        dynamics = coo_matrix(hstack([problem.dynamics_in_states, of_dynamics]))
+        shown = hstack([_numbered(problem.shown_in_states), _numbered(of_values)])
+        self._shown = shown = csr_matrix(shown)
+        # Entries of processes come behind those of states.
+        shown.data[shown.indices >= problem.nodes.size] += problem.shown_in_states.nnz
         self.n_unknowns = n = shown.shape[1]
         below = n + dynamics.row
         self._set_pairs(shown)
@@ -332,10 +332,14 @@ class MarginalLikelihood:
         self._other = shown.indptr[self._row] + number
 
     def _set_slopes(self) -> None:
-        self.shown = self._shown()
+        problem, layout = self.problem, self._shown
+        of_values, of_dynamics = self._of_processes
+        entries = np.concatenate([problem.shown_in_states.data, of_values])
+        entries = entries[layout.data]
+        self.shown = csr_matrix((entries, layout.indices, layout.indptr), layout.shape)
         self.shown_transposed = self.shown.T
         self._products = self.shown.data[self._one] * self.shown.data[self._other]
-        self._slopes = self._dynamics().data
+        self._slopes = np.concatenate([problem.dynamics_in_states.data, of_dynamics])
 
     def _set_border(self) -> None:
         problem = self.problem
@@ -429,7 +433,7 @@ class MarginalLikelihood:
         own = self.shown.indices[self._one]
         diagonal = np.bincount(own, curvature, minlength=len(shift)) + shift
         nodes = self.problem.nodes
-        slopes = csr_matrix(self._dynamics())
+        slopes = csr_matrix(self.problem.dynamics_in_states)
         return Chained.of(
             slopes, self.problem.grid.begin, diagonal.reshape(nodes.shape)
         )
