@@ -136,19 +136,19 @@ class _Judge:
     def proposals(self, single: _Proposal | None) -> Iterator[_Proposal]:
         """What may be named, in the order in which it is asked."""
         search = Search(self.base, self.ranking, self.effects, self.known_or_refitted)
-        is_single = single is not None and single.is_complete
-        if is_single and search.is_complete():
-            yield single
+        alone = single if single is not None and single.is_complete else None
+        if alone is not None and search.is_complete():
+            yield alone
             return
         search.run()
         least = -np.inf if single is None else single.log_evidence
         if search.is_complete():
             several = self.several(search, least)
-            if is_single or (several is not None and several.is_complete):
+            if alone is not None or (several is not None and several.is_complete):
                 yield from filter(None, (several, single))
                 return
-        elif is_single:
-            yield single
+        elif alone is not None:
+            yield alone
             return
         likelier = [one.log_evidence for one, _ in self.together(search, least)]
         highest = max([least, *likelier])
