@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import closing
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
@@ -250,13 +251,10 @@ def test_a_study_and_its_report_are_the_same_in_another_process(tmp_path) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n_threads", ["2", "4"])
-def test_a_large_fit_is_the_same_with_more_threads(n_threads: str) -> None:
+def test_a_large_fit_is_the_same_with_more_threads() -> None:
     with ThreadPoolExecutor(2) as threads:
-        calls = [
-            threads.submit(elsewhere, "fit_digest()", "3", n) for n in ("1", n_threads)
-        ]
-    assert calls[0].result() == calls[1].result()
+        found = set(threads.map(partial(elsewhere, "fit_digest()", "3"), "124"))
+    assert len(found) == 1
 
 
 def test_blas_has_its_threads_again_after_a_long_call() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import argument_symbols
+from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.transcription.defects import (
     interval_arguments,
     interval_symbols,
@@ -77,13 +78,9 @@ class MemoryIntegration:
         self.grid = grid
         self.x = x
         self._rest = _memory_at_rest(model, x.shape[1])
+        # One behind the other, whichever start they follow.
         over_interval = _memory_over_interval(model, x.shape[1])
-        # From every start the intervals that follow, and the steps over them.
-        self._pieces = []
-        for piece in range(len(grid.starts)):
-            intervals = np.flatnonzero(grid.piece[grid.begin] == piece)
-            steps = over_interval.mapaccum("memory", len(intervals))
-            self._pieces.append((intervals, steps))
+        self._integrate = over_interval.mapaccum("memory", grid.n_intervals)
 
     def __call__(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States (n_nodes, n_states) with their memory, and means of this.
@@ -94,27 +91,34 @@ class MemoryIntegration:
         grid = self.grid.driven(self.model, theta)
         n_old = self.x.shape[1]
         states = padded(self.model, self.x)
-        means = np.zeros((grid.n_intervals, self.model.n_states - n_old))
-        by_run = np.broadcast_to(theta.T, (grid.n_trajectories, len(theta)))
-        for first, piece in zip(grid.starts, self._pieces, strict=True):
-            intervals, integrate = piece
-            values = by_run[grid.trajectory[first]]
-            u = grid.u0[intervals[0]]
-            at_rest = self._rest(self.x[first], u, grid.t[first], values)
-            start = np.array(at_rest).ravel()
-            if not np.all(np.isfinite(start)):
-                start = np.zeros(len(start))
-            arguments = interval_arguments(grid.intervals(intervals), self.x.T)
-            repeated = np.repeat(values[:, None], len(intervals), axis=1)
-            at_ends, means_there = integrate(start, *arguments, repeated)
-            states[first, n_old:] = start
-            states[grid.begin[intervals] + 1, n_old:] = at_ends.full().T
-            means[intervals] = means_there.full().T
+        by_run = np.broadcast_to(theta.T, (grid.n_trajectories, len(theta))).T
+        first = np.flatnonzero(np.isin(grid.begin, grid.starts))
+        starts = grid.begin[first]
+        (at_rest,) = in_numbers(
+            self._rest,
+            self.x[starts].T,
+            grid.u0[first].T,
+            grid.t[None, starts],
+            by_run[:, grid.trajectory[starts]],
+        )
+        at_rest[:, ~np.isfinite(at_rest).all(axis=0)] = 0.0
+        states[starts, n_old:] = at_rest.T
+        # What the memory is where an interval begins anew, and where one does.
+        anew = np.zeros((len(at_rest) + 1, grid.n_intervals))
+        anew[:, first] = np.vstack([at_rest, np.ones(len(first))])
+        arguments = interval_arguments(grid, self.x.T)
+        found = self._integrate(at_rest[:, 0], anew, *arguments, by_run[:, grid.runs])
+        at_ends, means = (one.full().T for one in found)
+        states[grid.begin + 1, n_old:] = at_ends
         return states, means
 
 
 def _memory_over_interval(model: Model, n_old: int, n_steps: int = 4) -> ca.Function:
-    """CasADi function (z, x0, x1, t0, h, u0, u1, theta) -> (z at the end, mean of z).
+    """CasADi function (z, anew, x0, ..., theta) -> (z at the end, mean of z).
+
+    z is the memory where the interval before ended, ``anew`` the one that this interval
+    may begin with instead, and whether it does; x0 and the rest are those of a
+    `defect`.
 
     By steps of the trapezoidal rule, linearised at their beginning: with r the rate of
     z and J its slope in z there, each step dt adds::
@@ -125,6 +129,7 @@ def _memory_over_interval(model: Model, n_old: int, n_steps: int = 4) -> ca.Func
     """
     n_memory = model.n_states - n_old
     z = ca.SX.sym("z", n_memory)
+    anew = ca.SX.sym("anew", n_memory + 1)
     x0 = ca.SX.sym("x0", n_old)
     x1 = ca.SX.sym("x1", n_old)
     interval = interval_symbols(model)
@@ -142,13 +147,13 @@ def _memory_over_interval(model: Model, n_old: int, n_steps: int = 4) -> ca.Func
     implicit = ca.SX.eye(n_memory) - dt / 2 * slope
     end = z + dt / 2 * ca.solve(implicit, both_rates)
     step = ca.Function("part", [z, share, *given], [end])
-    before = z
+    before = ca.if_else(anew[-1], anew[:-1], z)
     mean: Any = ca.SX.zeros(n_memory)
     for k in range(n_steps):
         after = step(before, k / n_steps, *given)
         mean = mean + (before + after) / (2 * n_steps)
         before = after
-    return ca.Function("step", [z, *given], [before, mean])
+    return ca.Function("step", [z, anew, *given], [before, mean])
 
 
 def _memory_at_rest(model: Model, n_old: int) -> ca.Function:
