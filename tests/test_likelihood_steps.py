@@ -18,6 +18,7 @@ from phsi_opt.optimization.ipopt import DIRECT_STEPS
 from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks import chains
 from problems.benchmarks.peer_problems import PROBLEMS, drawn
+from problems.judges import couplings
 from tests import systems
 from tests.systems import Number, pair, positive, recorded
 
@@ -269,3 +270,15 @@ def test_a_fit_is_the_same_to_the_bit_whatever_was_fitted_before() -> None:
         assert fit.values == warm.values
         np.testing.assert_array_equal(fit.covariance, warm.covariance)
         np.testing.assert_array_equal(fit.states[0], warm.states[0])
+
+
+def test_states_that_meet_a_kink_go_to_and_fro_and_then_obey_the_dynamics() -> None:
+    case = couplings.tanks("spill", np.random.default_rng(15085))
+    name = "spill from h1 into h2"
+    spill = next(one for one in ph.catalogue(case.model) if one.name == name)
+    fit = ph.identify(case.model.add(spill), case.data[:-1])
+    assert fit.outcome.infeasibility < 1e-7
+    assert fit.outcome.iterations < 50  # IPOPT stops after 500
+    assert fit.estimates["spill_from_h1_into_h2"] == pytest.approx(
+        case.sizes[name], rel=0.01
+    )

@@ -19,9 +19,12 @@ or the residuals are large.
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csc_matrix
+from scipy.sparse.linalg import splu
 
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.noise_estimation import NoiseIteration
@@ -55,6 +58,7 @@ FOR_THE_NOISE = Target(length=0.1)
 FORCE_SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
 SMALL_FORCES = FORCE_SIZES[6:]  # from a start that is nearly the optimum
 NEXT_SIZE = Target(fall=1e-3)
+STEPS_TO_DYNAMICS = 20  # of the states, where others ended beside a kink
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,18 +110,41 @@ def by_steps(
             target = EXACTLY
     if joint is not None:
         z = joint.point.z
-        is_found = is_found and joint.violation < SETTLED_VIOLATION
+        if is_found and joint.violation >= SETTLED_VIOLATION:
+            z = _with_dynamics(values, z)
     known = values.at(z)
+    violation = float(np.max(np.abs(known.g), initial=0.0))
     solution = solution_of_steps(
         values,
         z,
         _mean_residual(known.misfit, sigma, values),
-        violation=float(np.max(np.abs(known.g), initial=0.0)),
+        violation=violation,
         n_steps=n_steps,
-        is_found=is_found,
+        is_found=is_found and violation < SETTLED_VIOLATION,
         began=began,
     )
     return Optimum(solution, sigma)
+
+
+def _with_dynamics(values: LikelihoodValues, z: np.ndarray) -> np.ndarray:
+    """The states that follow from the same starts, by Newton's steps.
+
+    Beside a kink of the model steps go to and fro, and end beside the dynamics.
+    """
+    x = values.point.of_x
+    slopes = values.jacobian.part(x)
+    follows = np.ones(values.grid.n_nodes, dtype=bool)
+    follows[values.grid.starts] = False
+    own = np.flatnonzero(np.repeat(follows, values.n_states))
+    z = z.copy()
+    with suppress(RuntimeError):  # the states do not follow
+        for _ in range(STEPS_TO_DYNAMICS):
+            known = values.at(z)
+            if not np.max(np.abs(known.g)) >= SETTLED_VIOLATION:
+                break
+            matrix = csc_matrix(slopes.sparse(known.jacobian))[:, own]
+            z[x][own] -= splu(matrix).solve(known.g)
+    return z
 
 
 def solution_of_steps(
