@@ -81,10 +81,10 @@ def told(study: ph.Study, max_steps: int = MOST_STEPS) -> Story:
             stopped = study.stopped
         except ph.PhsiOptError as error:
             stopped = f"{diagnosis.reason}; adding it failed: {error}"
-        n_added = len(study.steps) - n_before
-        if n_added:
-            is_named = diagnosis.verdict == ph.Verdict.NAMED
-            story.how += [NAMED if is_named else PARTLY, *[REMOVED] * (n_added - 1)]
+        if new := study.steps[n_before:]:
+            how = NAMED if diagnosis.verdict == ph.Verdict.NAMED else PARTLY
+            for step in new:  # of one finding each, or of one that is removed again
+                story.how.append(REMOVED if step.label.startswith("without ") else how)
             continue
         if not story.stopped:
             story.stopped = stopped
