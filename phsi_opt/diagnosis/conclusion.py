@@ -142,12 +142,12 @@ class _Judge:
             return
         search.run()
         least = -np.inf if single is None else single.log_evidence
-        if search.is_complete():
-            several = self.several(search, least)
-            if alone is not None or (several is not None and several.is_complete):
-                yield from filter(None, (several, single))
-                return
-        elif alone is not None:
+        is_noise = search.is_complete()  # what several leave, as they were weighed
+        several = self.several(search, least) if is_noise else None
+        if several is not None and several.is_complete:
+            yield from filter(None, (several, single))
+            return
+        if alone is not None:
             yield alone
             return
         likelier = [one.log_evidence for one, _ in self.together(search, least)]
@@ -161,7 +161,8 @@ class _Judge:
         )
         if single is not None and not is_late:
             yield single
-        several = self.several(search, least)
+        if not is_noise:
+            several = self.several(search, least)
         if several is not None:
             yield several
         if single is not None and is_late:
