@@ -50,6 +50,7 @@ from phsi_opt.diagnosis.refit import (
 )
 from phsi_opt.diagnosis.search import Combination, Search
 from phsi_opt.errors import SolveError
+from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.functions import is_function, is_unknown
 from phsi_opt.presentation.numbers import called, enumerated
@@ -135,7 +136,7 @@ class _Judge:
 
     def proposals(self, single: _Proposal | None) -> Iterator[_Proposal]:
         """What may be named, in the order in which it is asked."""
-        search = Search(self.base, self.ranking, self.effects, self.known_or_refitted)
+        search = Search(self.base, self.ranking, self.effects, self.refitted_for_search)
         alone = single if single is not None and single.is_complete else None
         if alone is not None and search.is_complete():
             yield alone
@@ -270,9 +271,12 @@ class _Judge:
         self.refits[one.name] = larger
         return larger
 
-    def known_or_refitted(self, one: Combination) -> DiagnosedModel | str:
-        """The base with effects that were weighed, as far as a search needs it."""
-        return self.refits.get(one.name) or self.refitted(one, thorough=False)
+    def refitted_for_search(self, one: Combination) -> DiagnosedModel | None:
+        """The base with what was weighed: a known re-fit, or one with sharp corners."""
+        larger: DiagnosedModel | str | None = self.refits.get(one.name)
+        if larger is None and corner_widths(one.weighed.model):
+            larger = self.refitted(one, thorough=False)
+        return None if isinstance(larger, str) else larger
 
     def refitted(self, one: WeighedEffects, thorough: bool) -> DiagnosedModel | str:
         """The base with effects that were weighed; or why they are rejected."""

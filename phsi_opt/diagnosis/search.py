@@ -8,8 +8,8 @@ likeliest of that size. So on with two effects and three, as a stand-in may be l
 than any one of several laws, and less likely than all of them. A new likeliest model
 gives back each of its effects by turns, as the first may have stood in for what was
 found later. The search ends where the likeliest model is nearly as likely as if what it
-leaves were noise, weighed with a force or, as a re-fit has it, without: there corners
-are sharp.
+leaves were noise, weighed with a force or as a re-fit has it, without: the weighing may
+have ended elsewhere, and its corners are round.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,7 +35,6 @@ from phsi_opt.diagnosis.ranking import (
 )
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
-from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.numbers import enumerated
@@ -97,19 +96,16 @@ def _promise(further: Screened, price: float) -> float:
     return further.gain + float(np.log(further.n_tried)) - price
 
 
-def _missing_in(comparisons: Sequence[Comparison], weighed: Weighed) -> float:
-    """Log likelihood that free runs miss to leave noise of the weighed sizes alone."""
-    runs = [run for one in comparisons for run in one.residuals]
-    sigma = weighed.disturbances.sigma
-    n_states = runs[0].shape[1]
-    in_noise = [run / own[:n_states] for run, own in zip(runs, sigma, strict=True)]
-    scaled = np.concatenate(in_noise)
-    n_values = np.isfinite(scaled).sum(axis=0)
-    is_seen = n_values > 0
-    n_unknown = len(weighed.theta) + len(runs) * n_states
-    n_free = n_values[is_seen] * (1 - n_unknown / n_values.sum())
-    squares = np.nansum(scaled[:, is_seen] ** 2, axis=0) / n_free
-    return float(np.sum(n_free * np.log(squares)) / 2)
+def _missing_in(comparisons: Sequence[Comparison]) -> float:
+    """Log likelihood that free runs miss to leave nothing but the estimated noise."""
+    missing = 0.0
+    for one in comparisons:
+        for number, name in enumerate(one.model.states):
+            if name in one.noise:
+                values = np.concatenate([run[:, number] for run in one.residuals])
+                squares = values[np.isfinite(values)] ** 2 / one.sigma[number] ** 2
+                missing += len(squares) * np.log(np.mean(squares)) / 2
+    return float(missing)
 
 
 def _weighed(step: _Step, say: Progress) -> Weighed:
@@ -124,12 +120,12 @@ class Search:
         base: DiagnosedModel,
         ranking: Ranking,
         effects: Sequence[Effect],
-        refitted: Callable[[Combination], DiagnosedModel | str],
+        refitted: Callable[[Combination], DiagnosedModel | None],
     ) -> None:
         self.base = base
         self.ranking = ranking
         self.effects = effects
-        self.refitted = refitted  # the base with effects, or why they are rejected
+        self.refitted = refitted  # the base with effects, where that is worth it
         self.known: dict[frozenset[str], Combination] = {}
         # The largest share of its promise that an effect kept where it was weighed.
         self.kept: dict[str, float] = {}
@@ -186,16 +182,13 @@ class Search:
 
     def _leaves_noise(self, one: Combination) -> bool:
         """Whether that is so beside a force, or in the free runs of a re-fit."""
-        # The weighed model has round corners, and a force in place of sharp ones.
         weighed = one.weighed
         missing = self.ranking.record.log_noise(weighed) - weighed.log_likelihood
         least = max(DECISIVE_EVIDENCE, LEAST_FINDING * one.log_evidence)
         if missing < least:
             return True
-        larger = self.refitted(one) if corner_widths(weighed.model) else ""
-        if isinstance(larger, str):
-            return False
-        return _missing_in(larger.comparisons, weighed) < least
+        larger = self.refitted(one)
+        return larger is not None and _missing_in(larger.comparisons) < least
 
     def in_order(self) -> list[Combination]:
         """What was weighed, the likeliest first."""
