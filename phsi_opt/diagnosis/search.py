@@ -98,14 +98,8 @@ def _promise(further: Screened, price: float) -> float:
 
 def _missing_in(comparisons: Sequence[Comparison]) -> float:
     """Log likelihood that free runs miss to leave nothing but the estimated noise."""
-    missing = 0.0
-    for one in comparisons:
-        for number, name in enumerate(one.model.states):
-            if name in one.noise:
-                values = np.concatenate([run[:, number] for run in one.residuals])
-                squares = values[np.isfinite(values)] ** 2 / one.sigma[number] ** 2
-                missing += len(squares) * np.log(np.mean(squares)) / 2
-    return float(missing)
+    tables = (one.table for one in comparisons)
+    return sum(float(one["n_samples"] @ np.log(one["chi2_dof"])) / 2 for one in tables)
 
 
 def _weighed(step: _Step, say: Progress) -> Weighed:
