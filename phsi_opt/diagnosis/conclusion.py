@@ -143,7 +143,7 @@ class _Judge:
             return
         search.run()
         least = -np.inf if single is None else single.log_evidence
-        is_noise = search.is_complete()  # what several leave, as they were weighed
+        is_noise = search.is_complete()  # what the likeliest model leaves
         several = self.several(search, least) if is_noise else None
         if several is not None and several.is_complete:
             yield from filter(None, (several, single))

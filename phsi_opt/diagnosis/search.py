@@ -8,8 +8,8 @@ likeliest of that size. So on with two effects and three, as a stand-in may be l
 than any one of several laws, and less likely than all of them. A new likeliest model
 gives back each of its effects by turns, as the first may have stood in for what was
 found later. The search ends where the likeliest model is nearly as likely as if what it
-leaves were noise, weighed with a force or as a re-fit has it, without: the weighing may
-have ended elsewhere, and its corners are round.
+leaves were noise. This is asked of the weighing with a force and of a re-fit without
+one: the weighing may have ended at a worse optimum, and its corners are round.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -123,6 +123,7 @@ class Search:
         self.known: dict[frozenset[str], Combination] = {}
         # The largest share of its promise that an effect kept where it was weighed.
         self.kept: dict[str, float] = {}
+        # Models that were asked whether they are complete, with the answer.
         self._completed: dict[frozenset[str], bool] = {}
         for one in ranking.candidates:
             if one.was_weighed and not one.lost:

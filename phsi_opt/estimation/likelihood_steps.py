@@ -127,9 +127,10 @@ def by_steps(
 
 
 def _with_dynamics(values: LikelihoodValues, z: np.ndarray) -> np.ndarray:
-    """The states that follow from the same starts, by Newton's steps.
+    """The same starts and parameters, with states that obey the dynamics (Newton).
 
-    Beside a kink of the model steps go to and fro, and end beside the dynamics.
+    At a kink of the model full steps jump from one side to the other, and end where
+    the dynamics are violated a little.
     """
     x = values.point.of_x
     slopes = values.jacobian.part(x)
