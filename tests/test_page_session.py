@@ -5,6 +5,7 @@ import gc
 import os
 import signal
 import sys
+import threading
 import time
 import weakref
 from collections.abc import Iterator
@@ -38,7 +39,7 @@ from phsi_opt.study_file.gallery import GALLERY
 from phsi_opt.study_file.toml_text import toml_tables
 from tests.page_tools import spring_table
 from tests.test_logger_files import mdf_file, tdms_file
-from tests.waiting import wait_for
+from tests.waiting import HANGS_AFTER, wait_for
 
 # What the page was given of ``studied``, and whether what is missing was said to be
 # worked out.
@@ -558,6 +559,34 @@ def test_every_edit_is_undone_and_done_again(tmp_path: Path) -> None:
     session.draft.model.table["H"] = "k*q**2/4 + p**2/(2*m)"
     session.check()
     assert not session.can_step(1), "a new change begins from here"
+
+
+def test_steps_of_two_windows_wait_for_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = filled(tmp_path)
+    session.draft.model.table["H"] = "k*q**2 + p**2/(2*m)"
+    session.check()
+    written, version, shape = session.draft.as_it_is(), session.version, session.shape
+    told, goes_on = threading.Event(), threading.Event()
+
+    def slow(self: Session) -> None:
+        told.set()
+        assert goes_on.wait(HANGS_AFTER)
+
+    monkeypatch.setattr(Session, "_check", slow)
+    steps = [threading.Thread(target=session.step, args=(by,)) for by in (-1, 1)]
+    steps[0].start()
+    assert told.wait(HANGS_AFTER)
+    assert session.shape > shape, "its fields are drawn before it is checked"
+    assert session.version > version, "and its buttons: a key may follow at once"
+    assert session.can_step(1)
+    steps[1].start()
+    goes_on.set()
+    for step in steps:
+        step.join()
+    assert session.draft.as_it_is() == written
+    assert session.can_step(-1) and not session.can_step(1)
     session.close()
 
 

@@ -423,21 +423,23 @@ class Session:
 
     def step(self, by: int) -> str:
         """Undo the last change (-1), or do it again (1); which part it was in."""
-        if not self.can_step(by):
-            return ""
-        known = self._moments[self._moment]
-        self._moment += by
-        moment = self._moments[self._moment]
-        self.message = ""
-        part = "study" if moment.draft.data == known.draft.data else "data"
-        if moment.draft != known.draft:
-            part = "model" if part == "study" else part
-            self.draft = deepcopy(moment.draft)
-            self.shape += 1
-        if moment.model not in (None, self.now):
-            self.now = moment.model
-            self._compare_with_base()
-        self.check()
+        with self._checking:  # one step after the other, each with its check
+            if not self.can_step(by):
+                return ""
+            known = self._moments[self._moment]
+            self._moment += by
+            moment = self._moments[self._moment]
+            self.message = ""
+            part = "study" if moment.draft.data == known.draft.data else "data"
+            if moment.model not in (None, self.now):
+                self.now = moment.model
+                self._compare_with_base()
+            if moment.draft != known.draft:
+                part = "model" if part == "study" else part
+                self.draft = deepcopy(moment.draft)
+                self.version += 1  # the buttons, no later than the fields
+                self.shape += 1
+            self.check()
         return part
 
     def _compare_with_base(self) -> None:
