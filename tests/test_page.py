@@ -296,6 +296,34 @@ def test_what_is_typed_is_undone_and_an_assumption_is_confirmed(
     context.close()
 
 
+def test_a_stretch_that_is_chosen_in_the_chart_is_all_that_is_used(page: Page) -> None:
+    times = (k * 0.05 for k in range(400))
+    lines = (f"{t:.2f},{math.sin(2 * t):.4f}" for t in times)
+    drop(page, "wave.csv", "\n".join(["t_s,position_m", *lines]).encode())
+    chart = page.get_by_role("img", name="all channels over time")
+    expect(chart).to_be_visible()
+    use = page.get_by_role("button", name="Use only t =")
+    expect(use).to_have_count(0)
+    box = chart.bounding_box()
+    assert box is not None
+    middle = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + 0.3 * box["width"], middle)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], middle, steps=3)
+    page.mouse.up()
+    expect(use).to_be_visible()
+    begin, end = map(float, re.findall(r"[\d.]+", use.inner_text().partition("=")[2]))
+    use.click()
+    ends = page.get_by_label("first and last time to use")
+    expect(ends).to_have_value(f"{begin:g}, {end:g}")
+    stated = page.get_by_role("row", name=re.compile("^t "))
+    expect(stated).to_contain_text(f"{begin:.2g}")
+    page.get_by_role("button", name="Spectrum").click()
+    expect(page.get_by_role("img", name="the spectrum of each channel")).to_be_visible()
+    page.get_by_role("button", name="Undo").click()
+    expect(ends).to_have_value("")
+
+
 def test_an_example_is_worked_through_by_the_keyboard_alone(
     page: Page, address: str
 ) -> None:

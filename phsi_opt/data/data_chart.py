@@ -45,7 +45,7 @@ def data_chart(look: DataLook, grounds: Sequence[Ground] = ()) -> Chart:
     """
     channels = [one for one in look.channels if len(one.known)]
     height = 0.8 if len(channels) == 1 else 0.55
-    x, x_label, ticks = _axis(look)
+    x, x_label, ticks, clock = _axis(look)
     spans, time = _spans(look, x, grounds or [FITTED_GROUND] * len(look.trajectories))
     told: set[str] = set()  # names that the legend has
     panels = []
@@ -58,7 +58,7 @@ def data_chart(look: DataLook, grounds: Sequence[Ground] = ()) -> Chart:
         panels.append(Panel(name, curves, height=height, scale=FREE))
     n_runs = number_of(len(look.trajectories), "trajectory", "trajectories")
     title = f"{n_runs}, {len(look.t)} samples"
-    return Chart(x_label, tuple(panels), title, ticks, spans=spans, time=time)
+    return Chart(x_label, tuple(panels), title, ticks, None, spans, time, clock)
 
 
 def _spans(
@@ -76,8 +76,8 @@ def _spans(
 
 def _axis(
     look: DataLook, most_names: int = 10, letters: int = 38, width: float = 0.94
-) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
-    """Where each sample stands, (n_samples,), with the label and ticks of the axis.
+) -> tuple[np.ndarray, str, tuple[list[str], ...], float]:
+    """Where each sample stands, (n_samples,); label, ticks and clock of the axis.
 
     Below the axis there is room for ten names of runs, on a narrow screen for 38
     letters; the longest run takes 94 % of its cell.
@@ -92,7 +92,8 @@ def _axis(
     has_one_clock = len({run.origin for run in runs}) == 1
     if has_one_clock and np.all(waits >= 0) and waits.sum() < lengths.sum() / 2:
         scale = scale_of_time(float(np.abs(look.t).max()), unit)
-        return look.t / scale.size, time_label(scale.unit, runs[0].origin), ()
+        x_label = time_label(scale.unit, runs[0].origin)
+        return look.t / scale.size, x_label, (), scale.size
     cells = np.arange(len(runs)) - width * lengths / longest / 2
     x = cells[look.run] + width * (look.t - begins[look.run]) / longest
     each = "each" if np.ptp(lengths) < 0.01 * longest else "up to"
@@ -101,7 +102,7 @@ def _axis(
         within = times_words(begins[0], begins[0] + longest, unit)
         x_label = f"runs in turn, each from {within}"
     if len(runs) > 200:
-        return x + 1, f"number of the run; {x_label}", ()
+        return x + 1, f"number of the run; {x_label}", (), 0.0
     every = -(-len(runs) // most_names)
     room = max(letters // min(len(runs), most_names), 5)
     names = [run.name for run in runs]
@@ -116,7 +117,7 @@ def _axis(
             within = times_words(run.t[0], run.t[-1], unit)
             lines += wrap(within, room, break_long_words=False)
         ticks.append(lines)
-    return x, x_label, tuple(ticks)
+    return x, x_label, tuple(ticks), 0.0
 
 
 def _line(look: DataLook, one: ChannelLook, x: np.ndarray) -> Curve:

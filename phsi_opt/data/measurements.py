@@ -12,7 +12,7 @@ import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
-from itertools import compress, pairwise
+from itertools import compress
 from textwrap import fill
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
@@ -30,6 +30,7 @@ from phsi_opt.data.checks import (
     numbered_names,
 )
 from phsi_opt.data.noticed import DataLook, breaks_of
+from phsi_opt.data.preparation import detrended_run, resampled_run, thinned_run
 from phsi_opt.data.table_readers import TableReaders
 from phsi_opt.data.trajectory import (
     Trajectory,
@@ -392,11 +393,64 @@ class Measurements(TableReaders, Summarised):
             )
         width = int(n) if by == "mean" else 1
         hold = hold_of_each(self.hold, self.inputs)
-        runs = [_thinned_run(run, int(n), width, hold) for run in self.trajectories]
+        runs = [thinned_run(run, int(n), width, hold) for run in self.trajectories]
         noise = dict(self.noise or {})
         for name, sigma in noise.items():
             noise[name] = sigma / np.sqrt(width)
         return self._of(runs, noise=noise or None)
+
+    def resampled(self, step: float) -> Self:
+        """A sample every ``step``, behind a low-pass filter against aliasing.
+
+        States and inputs are interpolated to even times and pass the same linear-phase
+        filter (that of `scipy.signal.resample_poly`: a Kaiser window, half of the
+        amplitude at half of the new sampling rate), so that a linear model of them
+        stays true; inputs are smooth then (``hold="cubic"``). Ten new samples at each
+        end, and beside each gap, are dropped, as the filter needs them. Noise that is
+        given becomes smaller, as if it were white.
+
+        Args:
+            step: Time between new samples, in the unit of the times; not shorter than
+                between those that there are.
+
+        Raises:
+            DataError: The time is not a positive number, shorter than a sampling step,
+                or too long for a trajectory.
+        """
+        if not is_of(step, float) or not 0 < step < np.inf:
+            raise DataError(
+                f"resampled({shown(step)}): expected a time between new samples that "
+                "is greater than 0."
+            )
+        hold = hold_of_each(self.hold, self.inputs)
+        unit = self.units["t"]
+        runs = [resampled_run(run, float(step), hold, unit) for run in self]
+        share = np.sqrt(np.max(self.computed_look.typical_steps) / step)
+        noise = {name: sigma * share for name, sigma in (self.noise or {}).items()}
+        return self._of(runs, hold="cubic", noise=noise or None)
+
+    def detrended(self, channels: Sequence[str]) -> Self:
+        """Some channels without the line that they follow in each trajectory.
+
+        The line goes through the means of whole periods where the channel oscillates,
+        as `noticed` tells it, else it is that of least squares; the mean of the
+        channel stays. Use it for a sensor that drifts. A trend that the machine has
+        belongs into the model.
+
+        Args:
+            channels: Names of states and inputs.
+
+        Raises:
+            DataError: There is no such channel.
+        """
+        places = {name: k for k, name in enumerate(self.states + self.inputs)}
+        names = [channels] if isinstance(channels, str) else list(channels)
+        for name in names:
+            told = f"detrended({shown(channels)}): there is no channel {shown(name)}"
+            require_known(name, tuple(places), told, DataError)
+        chosen = {name: places[name] for name in names}
+        units = self.units
+        return self._of(detrended_run(run, chosen, units) for run in self)
 
     def to_dataframe(self) -> "pd.DataFrame":
         """All samples as a table.
@@ -435,7 +489,9 @@ class Measurements(TableReaders, Summarised):
             which the values are quantised), noise (standard deviation: the given one,
             else from differences of neighbours) and noticed: how regular the clock is,
             and its gaps; missing samples; single samples far from both neighbours;
-            values at which a channel stays. NaN stands for what is not known.
+            values at which a channel stays. The last, guess, is the simplest linear
+            system that a state responds like: a lag or an oscillation, with its dead
+            time. NaN stands for what is not known.
 
         Examples:
             >>> t = np.linspace(0.0, 1.0, 101)
@@ -476,13 +532,15 @@ class Measurements(TableReaders, Summarised):
             grounds += [ground] * len(further)
         return data_chart(replace(self.look, trajectories=tuple(runs)), grounds)
 
-    def plot(self, ax: "Axes | None" = None) -> "Axes":
+    def plot(self, ax: "Axes | None" = None, *, over: str = "time") -> "Axes":
         """Every measured channel over time, states first, the runs one after another.
 
         What `noticed` tells is marked: gaps, single samples far from both neighbours,
-        and samples at a limit of a sensor.
+        and samples at a limit of a sensor. Over frequency, the amplitude density of
+        each channel is drawn, by Welch's method.
 
         Args:
+            over: "time" or "frequency".
             ax: Axes whose place is divided among the channels; None: a new figure.
 
         Returns:
@@ -493,7 +551,23 @@ class Measurements(TableReaders, Summarised):
         """
         from phsi_opt.presentation.charts import drawn
 
-        return drawn(self.chart(), ax=ax)
+        told = f"plot(over={shown(over)}) is unknown"
+        require_known(over, ("time", "frequency"), told, DataError)
+        return drawn(self.chart() if over == "time" else self.spectrum, ax=ax)
+
+    @property
+    def spectrum(self) -> "Chart":
+        """The amplitude density of every channel over frequency, in its own unit.
+
+        Raises:
+            DataError: No run is long enough.
+
+        Examples:
+            >>> frequencies = data.spectrum.panels[0].curves[0].x
+        """
+        from phsi_opt.data.spectrum import spectrum_chart
+
+        return spectrum_chart(self.look)
 
     def _summary(self) -> Summary:
         """Numbers of trajectories and samples, span of time, and what is noticed."""
@@ -503,9 +577,10 @@ class Measurements(TableReaders, Summarised):
         unit = f" [{clock.unit}]" if clock.unit else ""
         span = f"t = {clock.lowest:g} to {clock.highest:g}{unit}"
         title = f"Measurements: {runs}, {self.n_samples} samples, {span}"
-        channels = table[1:].drop(columns="noticed")
-        told = table[table.noticed != ""]
-        lines = told.channel + ": " + told.noticed
+        channels = table[1:].drop(columns=["noticed", "guess"])
+        guesses = table.guess.mask(table.guess != "", "first guess: " + table.guess)
+        told = table.noticed.str.cat(guesses, sep="; ").str.strip("; ")
+        lines = (table.channel + ": " + told)[told != ""]
         folded = lines.map(partial(fill, width=LINE_WIDTH, subsequent_indent="  "))
         return Summary(title, (Part(table=channels), Part(code="\n".join(folded))))
 
@@ -571,37 +646,3 @@ def _part_of(run: Trajectory, begin: int, end: int) -> Trajectory:
     if not known:
         past = np.vstack([run.past, past])
     return replace(run, t=run.t[rows], x=run.x[rows], u=run.u[rows], past=past)
-
-
-def _thinned_run(run: Trajectory, n: int, width: int, hold: np.ndarray) -> Trajectory:
-    """A trajectory with a mean of ``width`` samples for every n; (n_inputs,) holds."""
-    gaps = DataLook((run,)).gaps
-    parts = pairwise([0, *(gaps + 1), run.n_samples])
-    picked = np.concatenate([np.arange(a, b - width + 1, n) for a, b in parts])
-    if len(picked) < 2:
-        raise DataError(
-            f"trajectory {run.name!r} has {run.n_samples} samples, too few for "
-            f"thinned({shown(n)}): {len(picked)} would remain; expected at least 2."
-        )
-
-    def means(values: np.ndarray) -> np.ndarray:
-        if width == 1:
-            return values.copy()
-        windows = np.lib.stride_tricks.sliding_window_view(values, width, axis=0)
-        mean: np.ndarray = windows.mean(axis=-1)
-        return mean
-
-    t, x, u = map(means, (run.t, run.x, run.u))
-    is_held = hold == "zero"
-    changes = np.append(
-        np.any(np.diff(u[:, is_held], axis=0), axis=1).nonzero(), len(t)
-    )
-    firsts = changes[np.searchsorted(changes, picked[:-1])] + 1
-    is_between = firsts < picked[1:]
-    is_between &= np.diff(np.searchsorted(gaps, picked)) == 0
-    for first, end in np.c_[firsts, picked[1:]][is_between]:
-        x[first] = np.nan
-        lengths = np.diff(t[first : end + 1])
-        u[first, is_held] = lengths @ u[first:end, is_held] / lengths.sum()
-    rows = np.sort(np.append(picked, firsts[is_between]))
-    return replace(run, t=t[rows], x=x[rows], u=u[rows])

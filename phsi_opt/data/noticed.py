@@ -18,6 +18,7 @@ from phsi_opt.data.channel_noise import (
     robust_deviation,
     scatter_of,
 )
+from phsi_opt.data.first_guess import FirstGuess, first_guess
 from phsi_opt.data.trajectory import Trajectory, is_stepped, run_numbers
 from phsi_opt.errors import some_of
 from phsi_opt.presentation.numbers import called, number_of
@@ -27,6 +28,7 @@ REGULAR_STEPS = 0.01  # largest deviation of a step, of a clock that is regular
 BEYOND = 5.0  # times by which an outlier is beyond what its surroundings do
 MANY = 10  # equal samples that are no chance
 NOT_HELD = 'but interpolated: if it is held, give hold="zero"'
+LEAST_DAMPED = 2e-4  # damping ratio that is told; the least that is tried is half
 NO_SAMPLES = np.array([], dtype=int)
 
 
@@ -276,33 +278,50 @@ class DataLook:
     def _trend(self, one: ChannelLook) -> Iterator[str]:
         """A line under the oscillation of each run, as a sensor that drifts adds it.
 
-        It is the line through the means of whole periods, which begin where the motion
-        rises through the line.
+        A line that a motion without oscillation follows is no such trend.
         """
         rises = []
         for number, run in enumerate(self.trajectories):
             is_own = np.isfinite(one.values) & (self.run == number)
             t, y = self.t[is_own], one.values[is_own]
-            about = (
-                y - np.polyval(np.polyfit(t - t[0], y, 1), t - t[0]) if len(t) else y
-            )
-            far = np.flatnonzero(np.abs(about) > np.std(about) / 2)  # noise is nearer
-            begins = far[1:][np.diff(np.sign(about[far])) > 0]
-            if len(begins) <= MANY:
-                return
-            lengths = np.diff(begins)
-            y_means = np.add.reduceat(y[: begins[-1]], begins[:-1]) / lengths
-            t_means = np.add.reduceat(t[: begins[-1]], begins[:-1]) / lengths
-            line, spread = np.polyfit(t_means - t[0], y_means, 1, cov=True)
-            is_sure = np.abs(line[0]) > BEYOND * np.sqrt(spread[0, 0])
-            rise = line[0] * np.ptp(run.t)
-            if not is_sure or np.abs(rise) < np.std(about) / 4:
+            slope, deviation = trend_of(t, y)
+            rise = slope * np.ptp(run.t)
+            is_sure = np.abs(slope) > BEYOND * deviation
+            if not is_sure or np.abs(rise) < np.std(y - slope * t) / 4:
                 return
             rises.append(rise)
         if np.abs(np.sum(np.sign(rises))) == len(rises):
             word = "rises" if rises[0] > 0 else "falls"
             size = f"{np.abs(np.median(rises)):.2g}{spaced(one.unit)}"
             yield f"trend: its mean {word} by {size} in a run"
+
+    def guess(self, one: ChannelLook) -> FirstGuess | None:
+        """What the state responds like, in the longest run that has all of it."""
+        place = self.states.index(one.name)
+        for run in sorted(self.trajectories, key=lambda run: -run.n_samples):
+            if np.isfinite(run.x[:, place]).all():
+                return first_guess(run.t, run.x[:, place], run.u)
+        return None
+
+    def guess_words(self, one: ChannelLook) -> str:
+        """The simplest linear system that a state responds like; "" for none."""
+        found = self.guess(one) if not one.hold and len(one.known) else None
+        if found is None:
+            return ""
+        time = self.units["t"]
+        inputs = list(map(partial(called, labels=self.labels), self.inputs))
+        source = some_of(inputs) if len(inputs) < 3 else "the inputs"
+        if found.frequency > 0:
+            period = time_words(1 / found.frequency, time)
+            words = f"oscillates with a natural period of {period}"
+            if found.damping > LEAST_DAMPED:
+                words += f", damping ratio {found.damping:.2g}"
+        else:
+            follows = "its rate follows" if found.integrates else "follows"
+            words = f"{follows} {source} with a lag of {time_words(found.lag, time)}"
+        if found.dead_time:
+            words += f", dead time {time_words(found.dead_time, time)}"
+        return f"{words}; explains {100 * found.explained:.3g} %"
 
     def errors(self, one: ChannelLook) -> Iterator[str]:
         """What a sensor or a logger may have spoilt, a phrase each."""
@@ -370,13 +389,37 @@ class DataLook:
         told = ("channel", "part", "unit", "lowest", "highest", "resolution", "noise")
         ends = (self.t.min(), self.t.max())
         clock = ("t", "time", self.units["t"], *ends, np.nan, np.nan)
-        yield dict(zip(told, clock, strict=True)) | {"noticed": self.clock_words()}
+        words = {"noticed": self.clock_words(), "guess": ""}
+        yield dict(zip(told, clock, strict=True)) | words
         for one in self.channels:
             ends = (np.fmin.reduce(one.values), np.fmax.reduce(one.values))
             part = "input" if one.hold else "state"
             sizes = (*ends, one.resolution or np.nan, one.noise)
             row = dict(zip(told, (one.name, part, one.unit, *sizes), strict=True))
-            yield row | {"noticed": "; ".join(self.remarks(one))}
+            words = {"noticed": "; ".join(self.remarks(one))}
+            yield row | words | {"guess": self.guess_words(one)}
+
+
+def trend_of(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Slope of the line that a signal (n,) follows, and its standard deviation.
+
+    Where it oscillates, the line goes through the means of whole periods, which begin
+    where it rises through the line. Else it is that of least squares, whose deviation
+    is not known: infinite.
+    """
+    if len(t) < 2:
+        return 0.0, np.inf
+    slope, offset = np.polyfit(t - t[0], y, 1)
+    about = y - offset - slope * (t - t[0])
+    far = np.flatnonzero(np.abs(about) > np.std(about) / 2)  # noise is nearer
+    begins = far[1:][np.diff(np.sign(about[far])) > 0]
+    if len(begins) <= MANY:
+        return float(slope), np.inf
+    lengths = np.diff(begins)
+    y_means = np.add.reduceat(y[: begins[-1]], begins[:-1]) / lengths
+    t_means = np.add.reduceat(t[: begins[-1]], begins[:-1]) / lengths
+    line, spread = np.polyfit(t_means - t[0], y_means, 1, cov=True)
+    return float(line[0]), float(np.sqrt(spread[0, 0]))
 
 
 def breaks_of(run: Trajectory) -> np.ndarray:

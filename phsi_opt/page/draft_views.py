@@ -37,6 +37,7 @@ from phsi_opt.page.parts import (
     fields,
     heading,
     label_of,
+    plotted,
     plotted_data,
     said_by,
 )
@@ -148,8 +149,35 @@ class DataView:
         chart = self.session.seen_data.chart
         if chart is not None:
             with card():
-                plotted_data(chart)
+                plot = plotted_data(chart)
+                if chart.clock:
+                    self._offer_stretch(plot)
                 said_by("noticed", self.session.seen_data.rows)
+                spectrum = self.session.seen_data.spectrum
+                if spectrum is not None:
+                    with ui.expansion("Spectrum").classes("w-full"):
+                        height = 90 + 120 * len(spectrum.panels)
+                        plotted(spectrum, "Chart: the spectrum of each channel", height)
+
+    def _offer_stretch(self, plot: ui.element) -> None:
+        """A button that keeps only the stretch that the chart shows."""
+        stretch: list[float] = []
+
+        def zoomed(e: events.GenericEventArguments) -> None:
+            stretch[:] = e.args["detail"]
+            use.set_visibility(bool(stretch))
+            use.set_text("Use only t = {} to {}".format(*stretch or (0, 0)))
+
+        async def keep() -> None:
+            data = self.session.draft.data
+            if data is not None and stretch:
+                data.settings["between"] = list(stretch)
+                self.table.refresh()
+                await self.checked()
+
+        plot.on("stretch", zoomed, ["detail"])
+        use = button("Use only this", keep, quiet=True)
+        use.set_visibility(False)
 
     @ui.refreshable_method
     def error(self) -> None:
@@ -188,7 +216,9 @@ class DataView:
                 self._column(data, column)
             if not data.of_part(TIME):
                 fields(data.time, "data.time", "step unit", self.checked, "the times")
-            fields(data.settings, "data", "thinned", self.checked)
+            with ui.element("div").classes("fields"):
+                keys = "between detrended resampled thinned"
+                fields(data.settings, "data", keys, self.checked)
             about = self.session.draft.kept.setdefault("study", {})
             fields(about, "study", "title", self.checked)
         with card():

@@ -101,6 +101,10 @@ NAMES = Kind(
     lambda names: ", ".join(listed(names)),
     lambda text: list(dict.fromkeys(text.replace(",", " ").split())),
 )
+SPAN = Kind(
+    lambda ends: ", ".join(map(value_text, listed(ends))),
+    lambda text: [_number_in(one) for one in text.replace(",", " ").split()],
+)
 PAIRS = Kind(lambda pairs: ", ".join(map("-".join, pairs)), _pairs_in)
 TERMS = Kind(value_text, _terms_in)
 
@@ -450,6 +454,7 @@ class Seen:
     key: str = ""  # tells them from others; "" where they cannot be read yet
     chart: Chart | None = None
     rows: tuple[dict[str, Any], ...] = ()  # what was noticed of each channel
+    spectrum: Chart | None = None  # None: no run is long enough
 
 
 def files_of(path: Path) -> list[str]:
@@ -492,7 +497,10 @@ def checked(
     if key == known:
         return complaints, None
     chart = train.chart(held_out, final)
-    return complaints, Seen(key, chart, tuple(measured.look.rows()))
+    spectrum = None
+    with suppress(DataError):
+        spectrum = measured.spectrum
+    return complaints, Seen(key, chart, tuple(measured.look.rows()), spectrum)
 
 
 def fitted_file(

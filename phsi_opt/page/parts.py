@@ -9,7 +9,7 @@ from nicegui import ui
 from nicegui.elements.mixins.text_element import TextElement
 
 from phsi_opt.errors import Complaint, concise
-from phsi_opt.page.drafts import NAMES, PAIRS, REAL, TERMS, TEXT, WHOLE, Content
+from phsi_opt.page.drafts import NAMES, PAIRS, REAL, SPAN, TERMS, TEXT, WHOLE, Content
 from phsi_opt.presentation.charts import Chart, figure
 from phsi_opt.presentation.numbers import capitalised, unbroken
 from phsi_opt.presentation.sentences import environment
@@ -43,6 +43,9 @@ LABELS = {
     "data.time.column": "time column",
     "data.time.step": "time between lines",
     "data.time.date_format": "format of the dates",
+    "data.between": "first and last time to use",
+    "data.detrended": "channels to take a trend out of",
+    "data.resampled": "time between new samples",
     "data.thinned": "number of samples to average",
     "data.states.*": "column of {name}",
     "data.inputs.*": "column of {name}",
@@ -75,6 +78,7 @@ KIND_OF = {
     "number from 0 to 1": REAL,
     "whole number": WHOLE,
     "list of texts": NAMES,
+    "list of two numbers": SPAN,
     "list of pairs": PAIRS,
     "formula, term, or list of these": TERMS,
 }
@@ -186,11 +190,11 @@ def plotted(chart: Chart, told: str, height: int) -> ui.element:
     return plot
 
 
-def plotted_data(chart: Chart) -> None:
+def plotted_data(chart: Chart) -> ui.element:
     """The measurements over time."""
     heading("What was measured")
     height = 90 + 120 * len(chart.panels)
-    plotted(chart, "Chart: all channels over time", height)
+    return plotted(chart, "Chart: all channels over time", height)
 
 
 # ---- complaints in the words of the fields -------------------------------------------

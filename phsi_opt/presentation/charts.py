@@ -136,6 +136,8 @@ class Chart:
     mark: Mark | None = None  # a place on it
     spans: tuple[Span, ...] = ()  # runs that share it
     time: str = ""  # the label of their times
+    # Of the first axis, in the unit of the times that it shows; 0: it shows none.
+    clock: float = 0.0
 
 
 # ---- what is drawn -------------------------------------------------------------------

@@ -16,6 +16,7 @@ from phsi_opt.criteria import FAILING_ERROR, SURE_LEVEL, WHITE_ERROR
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.errors import some_of
 from phsi_opt.estimation.fit import Fit, equation_lines
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.pictures import force_of, force_runs, samples_of_each
@@ -415,6 +416,7 @@ def _settings(study: StudyRecord, headline: Headline) -> tuple[Answer, ...]:
         "Training data": _data(study.train, "all parameters are fitted to them"),
         "Held-out data": _data(study.held_out, HELPS),
         "Final test": _data(study.final, "looked at once, at the end"),
+        "Before fitting": _preparation(study.train),
         "Starting states": "estimated from each whole run, also of held-out data",
         "Units": ", ".join(units) or "not given",
         "Inputs between samples": hold if study.train.inputs else "",
@@ -427,6 +429,12 @@ def _settings(study: StudyRecord, headline: Headline) -> tuple[Answer, ...]:
         "Versions": ", ".join([*versions, f"Python {platform.python_version()}"]),
     }
     return tuple(Answer(one, question=name) for name, one in told.items() if one)
+
+
+def _preparation(data: Measurements) -> str:
+    """What was done to the samples, and what their reader noticed; "" for nothing."""
+    remarks = dict.fromkeys(run.remark for run in data.trajectories if run.remark)
+    return some_of(list(remarks))
 
 
 def _data(data: Measurements | None, use: str) -> str:

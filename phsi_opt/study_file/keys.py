@@ -35,6 +35,8 @@ data.trajectory | text | column with the name of the run; default: a single run
 data.hold | "linear", "zero" or "cubic" | inputs between samples; default linear
 data.time | table | the times
 data.between | list of two numbers | first and last time to use; default: all
+data.detrended | list of texts | channels to take a linear trend out of; default: none
+data.resampled | positive number | time between new, filtered samples; default: none
 data.thinned | whole number | so many samples are averaged into one; default: none
 data.sheet | text | sheet of the workbook (.xlsx); default: the only one
 data.group | text | group of channels, topic of a bag; default: the only one

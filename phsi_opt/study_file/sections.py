@@ -109,6 +109,8 @@ class DataSection:
     skip: int | None = None
     units_row: int | None = None
     between: tuple[float, float] | None = None
+    detrended: tuple[str, ...] | None = None
+    resampled: float | None = None
     thinned: int | None = None
     places: Mapping[str, Path] = field(default_factory=dict)
 
@@ -190,6 +192,10 @@ class DataSection:
         )
         if self.between is not None:
             data = data.between(*self.between)
+        if self.detrended is not None:
+            data = data.detrended(self.detrended)
+        if self.resampled is not None:
+            data = data.resampled(self.resampled)
         if self.thinned is not None:
             data = data.thinned(self.thinned)
         return data.in_si()

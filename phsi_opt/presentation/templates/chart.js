@@ -269,6 +269,9 @@ function phsiChart(host, chart) {
   function zoom(low, high) {
     range = low < high ? [low, high] : whole;
     draw();
+    const times = range.map((one) => one * chart.clock), digits = 3 - Math.floor(Math.log10(times[1] - times[0]));
+    const detail = range === whole || !chart.clock ? [] : times.map((one) => Number(one.toFixed(Math.max(digits, 0))));
+    host.dispatchEvent(new CustomEvent("stretch", { detail }));
   }
   box.addEventListener("pointerdown", (event) => { from = inside(event); });
   box.addEventListener("pointermove", (event) => {
