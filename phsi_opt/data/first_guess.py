@@ -13,6 +13,7 @@ Numerical Analysis 10, 1973); the few other numbers are searched on a grid, whos
 place is refined. Output errors are minimised, so noise causes no bias.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -70,12 +71,13 @@ class _System:
 
         Exact for inputs that are straight between samples.
         """
-        from scipy.signal import lfilter
-
+        n = u.shape[1]
         turn = self.pole * h
         mean = (np.exp(turn) - 1) / turn
         late = (mean - 1) / turn
-        found = lfilter([late, mean - late], [1.0, -np.exp(turn)], u)
+        kernel = np.exp(turn * np.arange(n)) * (late + (mean - late) * np.exp(-turn))
+        kernel[0] = late
+        found = np.fft.ifft(np.fft.fft(kernel, 2 * n) * np.fft.fft(u, 2 * n))[:, :n]
         if self.kind == OSCILLATION:
             return np.asarray(found.imag)
         if self.kind == LAG:
@@ -126,8 +128,6 @@ class _Record:
 
     def best(self, kind: str, delays: np.ndarray) -> tuple[float, _System, float]:
         """Sum of squares, system and delay: of a grid, refined from its best place."""
-        import scipy.optimize
-
         length = self.t[-1]
         if kind == OSCILLATION:  # from a period in the record to three samples in one
             ends = (2 * np.pi / length, 2 * np.pi / (3 * self.h))
@@ -152,21 +152,55 @@ class _Record:
         n = len(found[0].inner)
         lower.append(0.0)
         upper.append(LONGEST_DELAY * length)
-        moves = n + (len(delays) > 1)
+        scale = np.r_[np.full(n, 0.1), self.h]
+        start = np.r_[found[0].inner, found[1]]
+        moves = slice(None) if len(delays) > 1 else slice(n)
+        ends = np.array([lower, upper])[:, moves]
 
-        def left_at(vector: np.ndarray) -> np.ndarray:
-            delay = float(vector[n]) if moves > n else 0.0
+        def left(vector: np.ndarray) -> np.ndarray:
+            delay = float(vector[n]) if len(vector) > n else 0.0
             return self.left(_System(kind, vector[:n]), delay)
 
-        solved = scipy.optimize.least_squares(
-            left_at,
-            np.clip([*found[0].inner, found[1]], lower, upper)[:moves],
-            bounds=(lower[:moves], upper[:moves]),
-            x_scale=np.r_[np.ones(n), self.h][:moves],
-            max_nfev=20,
-        )
-        delay = float(solved.x[n]) if moves > n else 0.0
-        return 2 * float(solved.cost), _System(kind, solved.x[:n]), delay
+        vector = refined(left, start[moves], scale[moves], ends)
+        delay = float(vector[n]) if len(vector) > n else 0.0
+        return float(np.sum(left(vector) ** 2)), _System(kind, vector[:n]), delay
+
+
+def refined(
+    left: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    scale: np.ndarray,
+    ends: np.ndarray,
+) -> np.ndarray:
+    """Where residuals (n,) are least near a start (k,), by damped Gauss-Newton steps.
+
+    Args:
+        left: the residuals.
+        start: within the bounds.
+        scale: (k,) by which the vector changes much.
+        ends: (2, k) lower and upper bounds.
+    """
+    vector = np.clip(start, *ends)
+    here = left(vector)
+    damping = 0.01
+    for _ in range(20):
+        slopes = []
+        for place, size in enumerate(scale / 1000):
+            aside = vector.copy()
+            aside[place] += size if vector[place] + size < ends[1, place] else -size
+            slopes.append((left(aside) - here) * scale[place] / (aside - vector)[place])
+        products = np.array(slopes) @ np.array(slopes).T
+        damped = products + np.diag(damping * np.diag(products) + 1e-300)
+        step = -scale * np.linalg.solve(damped, np.array(slopes) @ here)
+        trial = np.clip(vector + step, *ends)
+        there = left(trial)
+        gain = 1 - (there @ there) / (here @ here)
+        damping *= 0.1 if gain > 0 else 10.0
+        if gain > 0:
+            vector, here = trial, there
+        if 0 <= gain < 1e-6 or damping > 1e3:
+            break
+    return np.asarray(vector)
 
 
 def first_guess(t: np.ndarray, y: np.ndarray, u: np.ndarray) -> FirstGuess | None:

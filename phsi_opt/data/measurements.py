@@ -501,7 +501,7 @@ class Measurements(TableReaders, Summarised):
             >>> print(data.noticed["noticed"][1])
             1 outlier of one sample, at t = 0.4
         """
-        table = printed_table(self.look.rows())
+        table = printed_table(self.look.rows)
         given = table["channel"].map(dict(self.as_written().noise or {}))
         table["noise"] = given.fillna(table["noise"]).astype(float)
         return table

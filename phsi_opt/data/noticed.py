@@ -384,7 +384,12 @@ class DataLook:
             percent = 100 * np.mean(repeats)
             yield f"repeats its previous value in {percent:.2g} % of the samples"
 
-    def rows(self) -> Iterator[dict[str, object]]:
+    @cached_property
+    def rows(self) -> tuple[dict[str, object], ...]:
+        """What is seen, see `_rows`."""
+        return tuple(self._rows())
+
+    def _rows(self) -> Iterator[dict[str, object]]:
         """A row for the clock, and one for each channel; NaN for what is not known."""
         told = ("channel", "part", "unit", "lowest", "highest", "resolution", "noise")
         ends = (self.t.min(), self.t.max())

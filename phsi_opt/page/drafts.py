@@ -500,7 +500,7 @@ def checked(
     spectrum = None
     with suppress(DataError):
         spectrum = measured.spectrum
-    return complaints, Seen(key, chart, tuple(measured.look.rows()), spectrum)
+    return complaints, Seen(key, chart, measured.look.rows, spectrum)
 
 
 def fitted_file(

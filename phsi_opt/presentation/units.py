@@ -277,6 +277,8 @@ class Measure(NamedTuple):
 @cache
 def measure_of(unit: str) -> Measure | None:
     """What a unit is in SI; degrees of every temperature are K. None: not readable."""
+    if not unit:  # pint is slow to load
+        return None
     written = powers_as_written(WITHOUT_BLANKS.sub(_apart, unit))
     if written is None:  # such as mmH2O
         found = _in_pint(unit)
