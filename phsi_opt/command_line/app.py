@@ -111,7 +111,8 @@ def init(
     model: Annotated[
         str | None,
         typer.Option(
-            help="Begin with this base model; without a name: list all of them.",
+            help="Begin with this base model, or that of a file (.toml: blocks, or a "
+            "study file; .json: a saved fit); without a name: list all of them.",
             metavar="[NAME]",
         ),
     ] = None,

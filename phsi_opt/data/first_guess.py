@@ -130,12 +130,13 @@ class _Record:
         """Sum of squares, system and delay: of a grid, refined from its best place."""
         length = self.t[-1]
         if kind == OSCILLATION:  # from a period in the record to three samples in one
-            ends = (2 * np.pi / length, 2 * np.pi / (3 * self.h))
-            n = int(np.clip(8 * np.log2(ends[1] / ends[0]), 8, 60))
-            rates, ratios = np.meshgrid(np.geomspace(*ends, n), [0.02, 0.2])
+            slowest = 2 * np.pi / length
+            fastest = 2 * np.pi / (3 * self.h)
+            n = int(np.clip(8 * np.log2(fastest / slowest), 8, 60))
+            rates, ratios = np.meshgrid(np.geomspace(slowest, fastest, n), [0.02, 0.2])
             grid = np.log(np.c_[rates.ravel(), ratios.ravel()])
-            lower = [np.log(ends[0] / 2), np.log(1e-4)]
-            upper = [np.log(ends[1]), -0.01]
+            lower = [np.log(slowest / 2), np.log(1e-4)]
+            upper = [np.log(fastest), -0.01]
         else:
             grid = np.log(np.geomspace(self.h / 2, length / 2, 14))[:, None]
             lower = [np.log(self.h / 10)]

@@ -64,7 +64,8 @@ ABOUT = (
     "physical effect is missing in it and how large it is. Begin with a table: CSV, "
     "text or Excel, one line per sample below a header, or a logger's MDF or TDMS "
     f"file, of at most {in_megabytes(MOST_UPLOADED)}. Several files with the same "
-    "columns are several runs. A study file (.toml) opens with its tables."
+    "columns are several runs. A study file (.toml) opens with its tables; "
+    "one with blocks, or a model alone, is the base model."
 )
 EXAMPLES = {
     "spring": "Damped spring",

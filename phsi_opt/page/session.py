@@ -28,6 +28,7 @@ from phsi_opt.page.worker import Order, Returned, Shown, WorkerHandle, example
 from phsi_opt.presentation.content import Follows, StudyContent
 from phsi_opt.presentation.numbers import duration, proper_names
 from phsi_opt.study_file.gallery import BaseModel
+from phsi_opt.study_file.model_file import model_alone_in
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.writing import write_whole
 
@@ -206,6 +207,10 @@ class Session:
         known = self.draft.places
         name, self._waiting = self._waiting, ""
         try:
+            base = self._call({}, model_alone_in, path)
+            if base is not None:
+                self.choose(replace(base, name=name, title=PurePath(name).stem))
+                return
             named = self._call({}, drafts.files_of, path)
             lacking = [one for one in named if PurePath(one).name not in known]
             if lacking:

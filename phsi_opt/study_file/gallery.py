@@ -40,6 +40,7 @@ class BaseModel:
     # States, model and terms of the inputs that replace these if one of the states has
     # a column, such as a velocity.
     velocity: Mapping[str, Any] = field(default_factory=dict)
+    is_named: bool = False  # whether columns become states by their names alone
 
     @property
     def picture(self) -> str:
@@ -133,7 +134,8 @@ def give_parts(
     left = [one for one in columns if one.part in (STATE, INPUT)]
     for part, units in base.places:
         is_state = part == STATE
-        own = [one for one in left if one.part == part]
+        is_guessed = not (is_state and base.is_named)
+        own = [one for one in left if one.part == part and is_guessed]
         left.sort(key=lambda one: (one.part != part, one.may_be_input == is_state))
         for column, name in matched(left, units, own.__contains__):
             left.remove(column)
@@ -144,10 +146,11 @@ def give_parts(
     for column in left:
         column.lost = column.part
         column.part = UNUSED
-    lacking = base.units
-    for column in columns:
-        if column.part == STATE:
-            del lacking[column.name]
+    lacking = {}
+    known = [column.name for column in columns if column.part == STATE]
+    for name, unit in base.units.items():
+        if name not in known:
+            lacking[name] = unit.removesuffix(OR_ANY)
     return base, lacking
 
 

@@ -155,6 +155,11 @@ def model_parts(model: Model) -> dict[str, Any]:
     return without(parts, (), {}) | energy
 
 
+def model_sections(model: Model) -> tuple[Content, Content]:
+    """The sections [model] and [parameters]."""
+    return _model(model), _plain(shared_parameters(model, ()))
+
+
 def _model(model: Model) -> Content:
     structure: Content = {}
     if model.has_energy:  # as pairs where it is nothing but pairs, else as a matrix

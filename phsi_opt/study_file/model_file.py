@@ -1,0 +1,115 @@
+"""A model in a file, to begin a study with: ``phsi-opt init data.csv --model FILE``.
+
+A file is data, and nothing in it is run. One that ends in .toml is a study file, of
+which the model and its parameters are taken, or has a diagram of blocks::
+
+    [blocks]
+    m = "mass: x"
+    k = "spring: x, ground"
+    u = "force: x, ground"
+
+    [parameters]
+    m = 2.5
+    k = { start = 10.0, lower = 0 }
+
+One that ends in .json is a fit that `Fit.save` wrote, such as that of a model of SymPy;
+its estimates are the starting values.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.model.blocks import blocks
+from phsi_opt.model.model import Model
+from phsi_opt.study_file.gallery import OR_ANY, BaseModel
+from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
+from phsi_opt.study_file.model_reading import ModelReader
+from phsi_opt.study_file.study_text import model_sections
+from phsi_opt.study_file.toml_text import tables_of
+
+FIT_KIND = ".json"
+MODEL_KINDS = (".toml", FIT_KIND)
+
+
+def is_model_file(name: str) -> bool:
+    """Whether the name of a base model is that of a file."""
+    return Path(name).suffix.lower() in MODEL_KINDS
+
+
+def model_alone_in(path: Path) -> BaseModel | None:
+    """That of a TOML file without data; None: it is a study file."""
+    return None if "data" in tables_of(path) else base_model_in(path)
+
+
+def base_model_in(path: Path) -> BaseModel:
+    """The model of a file, as an entry of the gallery; columns find it by their names.
+
+    Raises:
+        DataError: the file has no model, or something in it is wrong.
+    """
+    if path.suffix.lower() == FIT_KIND:
+        fit = Fit.load(path)
+        return _entry(path, *model_sections(fit.model), fit.units)
+    tables = tables_of(path)
+    parameters = tables.get("parameters", {})
+    if "blocks" in tables:
+        return _entry(path, *model_sections(_of_blocks(path, tables)), {})
+    _reader(path, {"model": tables.get("model", {}), "parameters": parameters})
+    units = {}
+    data = tables.get("data", {})
+    for name, channel in {**data.get("states", {}), **data.get("inputs", {})}.items():
+        units[name] = str(channel.get("unit", ""))
+    return _entry(path, tables["model"], parameters, units)
+
+
+def _of_blocks(path: Path, tables: Mapping[str, Any]) -> Model:
+    reader = _reader(path, {"parameters": tables.get("parameters", {})})
+    parameters: dict[str, Any] = reader.parameters
+    try:
+        found = blocks(tables["blocks"], tables.get("positions", []), **parameters)
+    except (PhsiOptError, TypeError) as error:
+        raise StudyFileError(path, [Complaint("blocks", "", str(error))]) from None
+    return found.model
+
+
+def _reader(path: Path, content: Mapping[str, Any]) -> ModelReader:
+    """The reader of a model and parameters that are valid."""
+    faults = Complaints(content)
+    with suppress(TooManyComplaintsError):
+        reader = ModelReader.of(usable(content, faults), faults)
+        if "model" in content and reader.model() is None:
+            said = 'expected [model], or [blocks] such as m = "mass: x".'
+            faults.need(said, content["model"], "model")
+    if faults.listed:
+        raise StudyFileError(path, faults.listed)
+    return reader
+
+
+def _entry(
+    path: Path,
+    model: Mapping[str, Any],
+    parameters: Mapping[str, Any],
+    units: Mapping[str, str],
+) -> BaseModel:
+    parts = dict(model)
+    inputs = {}
+    for name in parts.pop("inputs", ()):
+        inputs[name] = {"unit": units.get(name, "") + OR_ANY}
+    states = {}
+    for name in parts.pop("states"):
+        states[name] = units.get(name, "") + OR_ANY
+    return BaseModel(
+        name=path.stem,
+        title=path.stem,
+        about="",
+        equation=f"from {path.name}",
+        states=states,
+        model=parts,
+        parameters=parameters,
+        inputs=inputs,
+        is_named=True,
+    )
