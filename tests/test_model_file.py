@@ -51,9 +51,8 @@ def begun(folder: Path, model: str, table: str = "drive.csv") -> ph.StudyFile:
 def test_blocks_in_a_file_are_the_model_that_they_are_in_python(folder: Path) -> None:
     (folder / "drive.toml").write_text(BLOCKS + KNOWN)
     file = begun(folder, "drive.toml")
-    of_data_sheet = {"R": 1.0, "L": 0.02, "K": 0.3, "J1": 10.0}
-    free = {"k": ph.Parameter(15.0, lower=0)}
-    known = ph.blocks(DIAGRAM, **of_data_sheet, **free).model
+    k = ph.Parameter(15.0, lower=0)
+    known = ph.blocks(DIAGRAM, R=1.0, L=0.02, K=0.3, J1=10.0, k=k).model
     assert str(file.base).splitlines()[1:10] == str(known).splitlines()[1:10]
     assert dict(file.base.values) == dict(known.values)
     assert file.data.states["motor"].column == "motor_rad"

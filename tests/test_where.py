@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lombscargle
 
 import phsi_opt as ph
+from phsi_opt.data.spectrum import spectrum
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis, where_answer
 from phsi_opt.force_analysis.cross_validation import (
@@ -19,7 +20,7 @@ from phsi_opt.force_analysis.cross_validation import (
     left_out_error,
 )
 from phsi_opt.force_analysis.pictures import plot_where
-from phsi_opt.force_analysis.waves import _power, spectrum
+from phsi_opt.force_analysis.waves import _power
 from tests import systems
 from tests.systems import Number, pair, positive, recorded
 

@@ -536,8 +536,9 @@ class Measurements(TableReaders, Summarised):
         """Every measured channel over time, states first, the runs one after another.
 
         What `noticed` tells is marked: gaps, single samples far from both neighbours,
-        and samples at a limit of a sensor. Over frequency, the amplitude density of
-        each channel is drawn, by Welch's method.
+        and samples at a limit of a sensor. Over frequency, the amplitude of each
+        channel without its trend is drawn (Hann's window; runs and stretches without
+        gaps are averaged in the mean square): a sine has the peak of its amplitude.
 
         Args:
             over: "time" or "frequency".
@@ -557,10 +558,7 @@ class Measurements(TableReaders, Summarised):
 
     @property
     def spectrum(self) -> "Chart":
-        """The amplitude density of every channel over frequency, in its own unit.
-
-        Raises:
-            DataError: No run is long enough.
+        """The amplitude of every channel over frequency, as `plot` draws it.
 
         Examples:
             >>> frequencies = data.spectrum.panels[0].curves[0].x

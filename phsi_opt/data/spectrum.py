@@ -1,91 +1,97 @@
-"""The spectrum of every channel, before there is a model."""
+"""At which frequency a signal is strong, with even or uneven samples."""
 
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from phsi_opt.data.noticed import DataLook
-from phsi_opt.errors import DataError
 from phsi_opt.presentation.charts import FORCE, LOG, MODEL, Chart, Curve, Panel
+from phsi_opt.presentation.content import thinned
 from phsi_opt.presentation.numbers import label
 from phsi_opt.presentation.units import computed_unit, scale_of
 
-N_SEGMENTS = 8  # of a record of several lengths, so that the spectrum is smooth
-LEAST_SAMPLES = 32  # of a segment
+POINTS_PER_FREQUENCY = 4  # points of a spectrum per resolved frequency
 
 
-def spectrum_of(look: DataLook) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (n,), in cycles per unit of time, and amplitude densities.
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Amplitudes by frequency, of one signal (n_frequencies,) or k (n_frequencies, k).
 
-    Welch's method (IEEE Transactions on Audio and Electroacoustics 15, 1967): segments
-    that overlap by half, each less its line, under Hann's window; the mean of their
-    squares. Times are made even by interpolation; parts end at gaps and missing values.
-
-    Returns:
-        Frequencies, and one row of amplitude densities (unit per square root of the
-        frequency's) for each channel, NaN where it has no segment.
-
-    Raises:
-        DataError: no part of the record is long enough.
+    Frequencies are in cycles per unit of time; a sine of amplitude A has the peak A.
     """
-    from scipy.signal import welch
 
-    step = float(np.max(look.typical_steps))
-    parts = []
-    for number, run in enumerate(look.trajectories):
-        first = int(np.flatnonzero(look.run == number)[0])
-        gaps = look.gaps[(look.gaps >= first) & (look.gaps < first + run.n_samples - 1)]
-        values = np.hstack([run.x, run.u]).T
-        for a, b in pairwise([0, *(gaps - first + 1), run.n_samples]):
-            parts.append(_even(run.t[a:b], values[:, a:b], step))
-    longest = max(map(np.size, parts)) // len(values)
-    n_samples = sum(map(np.size, parts)) // len(values)
-    n = max(min(n_samples // N_SEGMENTS * 2, longest), LEAST_SAMPLES)
-    if longest < n:
-        raise DataError(
-            f"no part of the record has {n} samples without a gap, which a spectrum "
-            "needs; choose longer runs."
-        )
-    total = np.zeros(())
-    weights = np.zeros(())
-    for part in parts:
-        weight = 2 * part.shape[1] // n - 1
-        if weight < 1:
-            continue
-        is_known = np.isfinite(part[:, :1])
-        filled = np.where(is_known, part, 0.0)
-        frequencies, power = welch(filled, 1 / step, nperseg=n, detrend="linear")
-        total = total + weight * power
-        weights = weights + weight * is_known
-    with np.errstate(invalid="ignore"):  # of a channel that was not measured
-        densities = np.sqrt(total / weights)
-    return frequencies[1:], np.asarray(densities)[:, 1:]
+    frequencies: np.ndarray
+    amplitudes: np.ndarray
+
+    @property
+    def peak(self) -> float:
+        """Frequency of the largest amplitude; 0 where all are 0."""
+        strongest = self.frequencies[np.argmax(self.amplitudes, axis=0)]
+        return float(np.max(strongest * self.amplitudes.any(axis=0)))
+
+    @property
+    def resolved(self) -> float:
+        """Distance of frequencies that the record tells apart; 0 where it is short."""
+        return float(POINTS_PER_FREQUENCY * np.sum(np.diff(self.frequencies[:2])))
 
 
-def _even(t: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
-    """Channels (n_channels, n) at even times; NaN where half or more are missing."""
-    even = np.arange(t[0], t[-1] + step / 2, step)
-    found = np.full((len(values), len(even)), np.nan)
-    for row, y in zip(found, values, strict=True):
-        is_known = np.isfinite(y)
-        if np.mean(is_known) > 0.5:
-            row[:] = np.interp(even, t[is_known], y[is_known])
-    return found
+def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
+    """Amplitude spectrum of one signal or several along trajectories.
+
+    Trajectories are resampled to even steps, tapered (Hann), and averaged in the mean
+    square. Frequencies below one cycle per longest trajectory are left out. Times and
+    numbers of their trajectories are (n,), each trajectory one stretch of increasing
+    times; the signal is (n,), or (n, k) for k signals.
+    """
+    runs = np.split(np.arange(len(t)), np.flatnonzero(np.diff(run)) + 1)
+    runs = [inside for inside in runs if len(inside) > 2]
+    duration = max((float(np.ptp(t[inside])) for inside in runs), default=0.0)
+    if duration == 0.0:
+        return Spectrum(np.zeros(1), np.zeros((1, *signal.shape[1:])))
+    typical_steps = [float(np.median(np.diff(t[inside]))) for inside in runs]
+    # One short step among millions of long ones does not decide the size.
+    step = max(min(typical_steps), duration / 2**18)
+    n_fft = scipy.fft.next_fast_len(
+        POINTS_PER_FREQUENCY * int(duration / step + 2), real=True
+    )
+    frequencies = np.fft.rfftfreq(n_fft, step)
+    mean_square = np.zeros((len(frequencies), *signal.shape[1:]))
+    for inside in runs:
+        times = t[inside]
+        even = np.arange(times[0], times[-1] + step / 2, step)
+        taper = np.hanning(len(even) + 2)[1:-1]
+        columns = signal[inside].reshape(len(times), -1).T
+        sampled = np.array([np.interp(even, times, column) for column in columns])
+        transform = np.fft.rfft(sampled * taper, n_fft).T
+        amplitude = 2 * np.abs(transform) / taper.sum()
+        share = len(inside) / len(t)
+        mean_square += share * amplitude.reshape(mean_square.shape) ** 2
+    kept = frequencies * duration > 0.999  # rounding does not lose one cycle
+    return Spectrum(frequencies[kept], np.sqrt(mean_square[kept]))
 
 
 def spectrum_chart(look: DataLook) -> Chart:
-    """The amplitude density of every channel over frequency, states first."""
-    frequencies, densities = spectrum_of(look)
+    """The amplitude of every channel over frequency, states first."""
     time = look.units["t"]
     computed = computed_unit(time)
-    size = scale_of(computed).size if computed == "s" else 0.0  # s
-    unit = "Hz" if size else f"1/{time}" if time else ""
-    x = frequencies / (size or 1.0)
-    root = np.sqrt(size or 1.0)
+    size = scale_of(computed).size if computed == "s" else 1.0
+    unit = "Hz" if computed == "s" else f"1/{time}" if time else ""
+    # A gap ends a stretch.
+    stretch = np.cumsum(np.isin(np.arange(len(look.t)), look.gaps + 1)) + look.run
     panels = []
-    for one, density in zip(look.channels, densities, strict=True):
-        if np.isfinite(density).any() and np.nanmax(density) > 0:
-            curve = Curve("", x, density * root, FORCE if one.hold else MODEL)
-            of = label(one.called, f"{one.unit}/√{unit}" if one.unit and unit else "")
-            panels.append(Panel(of, (curve,), height=0.55, scale=LOG))
+    for one in look.channels:
+        known = one.known
+        if len(known) < 3 or not np.ptp(one.values[known]):
+            continue
+        t = look.t[known]
+        line = np.polyfit(t - t[0], one.values[known], 1)
+        y = one.values[known] - np.polyval(line, t - t[0])
+        found = spectrum(t, stretch[known], y)
+        kept = thinned([found.amplitudes], 4000)
+        curve = Curve("", found.frequencies[kept] / size, found.amplitudes[kept], MODEL)
+        curve = replace(curve, color=FORCE) if one.hold else curve
+        panels.append(
+            Panel(label(one.called, one.unit), (curve,), height=0.55, scale=LOG)
+        )
     return Chart(label("frequency", unit), tuple(panels), "spectrum")

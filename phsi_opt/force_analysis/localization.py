@@ -14,9 +14,9 @@ import numpy as np
 import scipy
 
 from phsi_opt.criteria import MOST_OF_IT
+from phsi_opt.data.spectrum import spectrum
 from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
-from phsi_opt.force_analysis.waves import spectrum
 from phsi_opt.presentation.numbers import decimal, number, range_words
 from phsi_opt.presentation.units import Scale, frequency_words
 from phsi_opt.statistics import TINY, rms, stretches

@@ -155,7 +155,7 @@ class DataView:
                     self._offer_stretch(plot)
                 said_by("noticed", self.session.seen_data.rows)
                 spectrum = self.session.seen_data.spectrum
-                if spectrum is not None:
+                if spectrum is not None and spectrum.panels:
                     with ui.expansion("Spectrum").classes("w-full"):
                         height = 90 + 120 * len(spectrum.panels)
                         plotted(spectrum, "Chart: the spectrum of each channel", height)

@@ -454,7 +454,7 @@ class Seen:
     key: str = ""  # tells them from others; "" where they cannot be read yet
     chart: Chart | None = None
     rows: tuple[dict[str, Any], ...] = ()  # what was noticed of each channel
-    spectrum: Chart | None = None  # None: no run is long enough
+    spectrum: Chart | None = None
 
 
 def files_of(path: Path) -> list[str]:
@@ -497,10 +497,7 @@ def checked(
     if key == known:
         return complaints, None
     chart = train.chart(held_out, final)
-    spectrum = None
-    with suppress(DataError):
-        spectrum = measured.spectrum
-    return complaints, Seen(key, chart, measured.look.rows, spectrum)
+    return complaints, Seen(key, chart, measured.look.rows, measured.spectrum)
 
 
 def fitted_file(
