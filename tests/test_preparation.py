@@ -145,13 +145,22 @@ def test_noise_gaps_and_missing_values_pass_the_filter_as_they_should() -> None:
     assert np.max(np.diff(run.t)) == pytest.approx(12.0, abs=0.2)  # with both ends
 
 
+def test_a_clock_that_is_too_uneven_is_no_matter_of_memory() -> None:
+    t = np.r_[np.arange(0.0, 1.0, 0.001), 10.0 ** np.arange(1, 12)]
+    data = ph.Measurements.from_arrays(t, np.sin(t), states=["x"])
+    with pytest.raises(ph.DataError, match="its clock is too uneven"):
+        data.resampled(1e9)
+    assert data.noticed["guess"][1] is not None
+
+
 @pytest.mark.parametrize(
     ("step", "told"),
     [
         (0.0, "expected a time between new samples that is greater than 0"),
         ("1 s", "'1 s'"),
         (1.0, "a sample every 20; expected a time that is not shorter"),
-        (1e4, "too short for resampled(10000.0): 0 samples would remain"),
+        (1e4, "cannot be resampled(10000.0): 0 samples would remain"),
+        (1e300, "cannot be resampled(1e+300): 0 samples would remain"),
     ],
 )
 def test_a_step_that_is_of_no_use_is_refused(step: Any, told: str) -> None:

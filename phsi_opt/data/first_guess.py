@@ -256,7 +256,7 @@ def first_guess(t: np.ndarray, y: np.ndarray, u: np.ndarray) -> FirstGuess | Non
 def _even(t: np.ndarray, y: np.ndarray, u: np.ndarray) -> _Record:
     """At even steps, no closer than the fastest motion asks for, of limited number."""
     h = float(np.median(np.diff(t)))
-    even = np.arange(t[0], t[-1] + h / 2, h)[: 100 * MOST_SAMPLES]
+    even = t[0] + h * np.arange(min(np.ptp(t) / h + 0.5, 100 * MOST_SAMPLES))
     columns = np.array([np.interp(even, t, one) for one in (y, *u.T)])
     power = np.cumsum(np.abs(np.fft.rfft(columns[0] - columns[0].mean())[1:]) ** 2)
     fastest = 1 + int(np.searchsorted(power, 0.99 * power[-1]))  # cycles in the record

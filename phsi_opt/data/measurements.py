@@ -399,6 +399,7 @@ class Measurements(TableReaders, Summarised):
             noise[name] = sigma / np.sqrt(width)
         return self._of(runs, noise=noise or None)
 
+    @partial(typed, error=DataError)
     def resampled(self, step: float) -> Self:
         """A sample every ``step``, behind a low-pass filter against aliasing.
 
@@ -417,7 +418,7 @@ class Measurements(TableReaders, Summarised):
             DataError: The time is not a positive number, shorter than a sampling step,
                 or too long for a trajectory.
         """
-        if not is_of(step, float) or not 0 < step < np.inf:
+        if not 0 < step < np.inf:
             raise DataError(
                 f"resampled({shown(step)}): expected a time between new samples that "
                 "is greater than 0."
@@ -429,6 +430,7 @@ class Measurements(TableReaders, Summarised):
         noise = {name: sigma * share for name, sigma in (self.noise or {}).items()}
         return self._of(runs, hold="cubic", noise=noise or None)
 
+    @partial(typed, error=DataError)
     def detrended(self, channels: Sequence[str]) -> Self:
         """Some channels without the line that they follow in each trajectory.
 
@@ -444,11 +446,11 @@ class Measurements(TableReaders, Summarised):
             DataError: There is no such channel.
         """
         places = {name: k for k, name in enumerate(self.states + self.inputs)}
-        names = [channels] if isinstance(channels, str) else list(channels)
-        for name in names:
+        chosen = {}
+        for name in channels:
             told = f"detrended({shown(channels)}): there is no channel {shown(name)}"
             require_known(name, tuple(places), told, DataError)
-        chosen = {name: places[name] for name in names}
+            chosen[name] = places[name]
         units = self.units
         return self._of(detrended_run(run, chosen, units) for run in self)
 

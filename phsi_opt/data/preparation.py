@@ -19,6 +19,7 @@ from phsi_opt.presentation.units import rate_unit, spaced, time_words
 # the shape of its Kaiser window.
 HALF_LENGTH = 10
 KAISER = 5.0
+MOST_FINE = 1e7  # even samples in one trajectory, before the filter
 
 
 def with_remark(run: Trajectory, remark: str, **changes: object) -> Trajectory:
@@ -76,6 +77,17 @@ def resampled_run(
             f"resampled({shown(step)}): trajectory {run.name!r} has a sample every "
             f"{every:.4g}; expected a time that is not shorter."
         )
+    n_new = np.ptp(run.t) / step - 2 * HALF_LENGTH
+    n_fine = np.ptp(run.t) / every
+    if n_new < 1 or n_fine > MOST_FINE:
+        what = f"{max(n_new, 0):.0f} samples would remain"
+        if n_new >= 1:
+            what = f"its clock is too uneven (a sample every {every:.4g} or longer)"
+        raise DataError(
+            f"trajectory {run.name!r} cannot be resampled({shown(step)}): {what}, as "
+            f"the filter needs {2 * HALF_LENGTH} new steps without a gap. Choose "
+            "another time, or `thinned`."
+        )
     n = max(int(np.ceil(step / every - 0.01)), 2)  # finer samples for each new one
     kernel = firwin(2 * HALF_LENGTH * n + 1, 1 / n, window=("kaiser", KAISER))
     values = np.hstack([run.x, run.u])
@@ -99,9 +111,9 @@ def resampled_run(
     n_found = sum(map(len, times))
     if n_found < 2:
         raise DataError(
-            f"trajectory {run.name!r} is too short for resampled({shown(step)}): "
-            f"{n_found} samples would remain, as the filter needs {2 * HALF_LENGTH} "
-            "new steps in a part without gaps; expected at least 2."
+            f"trajectory {run.name!r} cannot be resampled({shown(step)}): {n_found} "
+            f"samples would remain, as the filter needs {2 * HALF_LENGTH} new steps "
+            "without a gap. Choose a shorter time, or `thinned`."
         )
     found = np.vstack(parts)
     n_states = run.x.shape[1]
