@@ -114,6 +114,8 @@ class _Judge:
     ranking: Ranking
     functions: bool
     refits: dict[str, DiagnosedModel] = field(default_factory=dict)
+    # Those of a search, to be made thorough.
+    briefs: dict[str, DiagnosedModel] = field(default_factory=dict)
     rivals: Sequence[Candidate] = ()  # unknown functions that were weighed
 
     def concluded(self) -> Diagnosis:
@@ -276,11 +278,14 @@ class _Judge:
         larger: DiagnosedModel | str | None = self.refits.get(one.name)
         if larger is None and corner_widths(one.weighed.model):
             larger = self.refitted(one, thorough=False)
-        return None if isinstance(larger, str) else larger
+        if larger is None or isinstance(larger, str):
+            return None
+        self.briefs[one.name] = larger
+        return larger
 
     def refitted(self, one: WeighedEffects, thorough: bool) -> DiagnosedModel | str:
         """The base with effects that were weighed; or why they are rejected."""
-        larger = refit(self.base, one)
+        larger = self.briefs.get(one.name) or refit(self.base, one)
         if larger is None:
             return "the fit failed"
         if thorough:

@@ -67,6 +67,8 @@ class Program:
         self.bounds = self.g_bounds = np.zeros((2, 0))
         self._dense_slopes: ca.MX | None = None
         self._curvature = np.zeros(0)
+        # Of the constraints at some places that have second derivatives.
+        self._curved: list[tuple[slice, Callable[[ca.MX], ca.MX]]] = []
 
     def setting(self, name: str, value: np.ndarray) -> ca.MX:
         """Numbers (n_values,) that may change between two solves of one program."""
@@ -117,12 +119,20 @@ class Program:
         expression: ca.MX,
         upper: float = 0.0,
         label: Label = str,
+        curvature: Callable[[ca.MX], ca.MX] | None = None,
     ) -> None:
-        """Add 0 <= expression <= upper, scaled by the caller to numbers near one."""
+        """Add 0 <= expression <= upper, scaled by the caller to numbers near one.
+
+        ``curvature`` takes multipliers, a column, to the second derivatives of
+        multipliers'expression in the scaled first variables, their upper triangle;
+        None: there are none.
+        """
         column = ca.vec(expression)
         first = self.g.numel()
         place = slice(first, first + column.numel())
         self.constraints[name] = Block(place, label)
+        if curvature is not None:
+            self._curved.append((place, curvature))
         self.g = ca.vertcat(self.g, column)
         limits = np.tile([[0.0], [upper]], column.numel())
         self.g_bounds = np.hstack([self.g_bounds, limits])
@@ -224,8 +234,10 @@ class Program:
         product = ca.diagcat(ca.triu(product), ca.MX(n_others, n_others))
         hessian = factor * (product + ca.diag(ca.DM(curvature)))
         if exact:
-            curved = ca.hessian(ca.dot(multipliers, self.g), self.z)[0]
-            hessian = hessian + ca.triu(curved)
+            for place, of_block in self._curved:
+                curved = of_block(multipliers[place])
+                n_further = self.z.numel() - curved.size1()
+                hessian += ca.diagcat(curved, ca.MX(n_further, n_further))
         arguments = [self.z, self.settings, factor, multipliers]
         return ca.Function("hessian", arguments, [hessian])
 

@@ -9,6 +9,7 @@ The program of the same likelihood is for solvers that want symbols (`losses`).
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 import scipy
 
@@ -19,6 +20,7 @@ from phsi_opt.transcription.defects import (
     in_intervals,
     linear_defect,
     linear_function,
+    symbols_in_intervals,
 )
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Point, Theta
@@ -169,6 +171,24 @@ class LikelihoodValues:
         places = self.places(self.grid.begin, 2)[:, local].reshape(-1, 2)
         row, column = np.sort(places, axis=1).T
         return Pattern(row, column, (len(self.scale), len(self.scale)))
+
+    def curvature_in_symbols(self, x: ca.MX, theta: ca.MX, multipliers: ca.MX) -> ca.MX:
+        """The same in symbols, as an upper triangle; of states (n_states, n_nodes)."""
+        function = defect_curvature(self.model, self.scheme).function
+        sizes = ca.DM(self.per_size.T)
+        weighted = ca.reshape(multipliers, self.n_states, -1) * sizes
+        (entries,) = symbols_in_intervals(function, self.grid, x, theta, weighted)
+        pattern = self.curvature
+        n = len(self.scale)
+        # Entries at one place are added, column by column as CasADi has them.
+        places, owner = np.unique(
+            pattern.columns * n + pattern.rows, return_inverse=True
+        )
+        scale = self.scale[pattern.rows] * self.scale[pattern.columns]
+        added = scipy.sparse.csc_matrix((scale, (owner, np.arange(len(owner)))))
+        columns, rows = np.divmod(places, n)
+        where = ca.Sparsity.triplet(n, n, rows.tolist(), columns.tolist())
+        return ca.MX(where, ca.DM(added) @ ca.vec(entries.T))
 
     def curvature_at(self, z: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
         """Second derivatives of multipliers'g at z, entries of `curvature`.

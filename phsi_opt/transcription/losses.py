@@ -183,6 +183,7 @@ class MaximumLikelihood:
             "defect",
             (d * ca.DM(values.per_size)).T,
             label=partial(grid.interval_label, n_states),
+            curvature=partial(values.curvature_in_symbols, x, of_runs),
         )
         # Row by row (n_nodes, n_states) is CasADi's order column by column.
         measured = np.flatnonzero(grid.measured.ravel()).tolist()
