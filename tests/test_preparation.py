@@ -15,6 +15,7 @@ from phsi_opt.study_file.study_file import StudyFile
 
 STEP = 0.02  # s
 W, ZETA = 8.2, 0.05
+NOT_HELD = np.array([False])
 
 
 def staircase(n: int, seed: int, length: int = 50) -> np.ndarray:
@@ -51,7 +52,7 @@ def test_dead_time_lag_and_natural_frequency_are_guessed_from_data_alone(
 ) -> None:
     if "frequency" in expected:
         delay = min(delay, 0.3)  # below half a period: later is another sign
-    found = first_guess(*response(system, delay, noise=0.03))
+    found = first_guess(*response(system, delay, noise=0.03), NOT_HELD)
     assert found is not None
     for name, value in expected.items():
         assert getattr(found, name) == pytest.approx(value, rel=0.1), name
@@ -65,15 +66,17 @@ def test_a_free_oscillation_has_a_period_and_a_random_walk_nothing() -> None:
     t = np.arange(1000) * STEP
     rng = np.random.default_rng(5)
     y = np.exp(-0.2 * t) * np.cos(4 * t + 1) + 7 + 0.05 * rng.standard_normal(1000)
-    found = first_guess(t, y, np.empty((1000, 0)))
+    found = first_guess(t, y, np.empty((1000, 0)), NOT_HELD[:0])
     assert found is not None
     assert found.frequency == pytest.approx(4 / (2 * np.pi), rel=0.01)
     assert found.damping == pytest.approx(0.05, rel=0.1)
-    guess = partial(first_guess, t)
+    guess = partial(first_guess, t, is_held=NOT_HELD)
     steps = np.random.default_rng(77).standard_normal((50, 1000))
     inputs = [staircase(1000, seed)[:, None] for seed in range(500, 550)]
     told: list[FirstGuess | None] = list(map(guess, np.cumsum(steps, axis=1), inputs))
     assert sum(one is not None for one in told) <= 5, "one in ten by chance"
+    for y in (t, 5 * np.exp(-t / 15), np.sqrt(t), t**2):
+        assert guess(y, inputs[0]) is None, "whatever the input does"
     assert guess(rng.standard_normal(1000), inputs[0]) is None
     assert guess(np.ones(1000), inputs[0]) is None
 
@@ -81,7 +84,7 @@ def test_a_free_oscillation_has_a_period_and_a_random_walk_nothing() -> None:
 def record(**changes: Any) -> ph.Measurements:
     """Half a minute of a lag, sampled in milliseconds."""
     t, y, u = response(LAG, 0.1, noise=0.01)
-    arguments = {"states": ["T"], "inputs": ["u"], "hold": "zero"} | changes
+    arguments = {"states": ["T"], "inputs": ["u"]} | changes
     units = {"t": "ms", "T": "K", "u": "V"}
     x = np.c_[y, *[y * np.nan] * (len(arguments["states"]) - 1)]
     return ph.Measurements.from_arrays(1000 * t, x, u, units=units, **arguments)
@@ -94,6 +97,25 @@ def test_the_guess_is_told_with_the_names_and_units_of_the_record() -> None:
     assert clock == unmeasured == voltage == ""
     assert "T: first guess: follows Voltage" in str(data)
     assert "a lag of 497 ms" in str(data.in_si()), "as it was written"
+
+
+def test_a_held_input_acts_until_the_next_sample_and_one_wave_tells_nothing() -> None:
+    n = 1500
+    t = np.arange(float(n))
+    u = staircase(n, 3, length=20)
+    x = np.zeros(n)
+    for k in range(n - 1):  # exact of a lag of 3
+        x[k + 1] = u[k] + (x[k] - u[k]) * np.exp(-1 / 3)
+    found = first_guess(t, x, u[:, None], np.array([True]))
+    assert found is not None
+    assert found.lag == pytest.approx(3, rel=0.1) and found.dead_time == 0.0
+    step = 1.0 * (t > 100)
+    found = first_guess(
+        t, lsim(([1.0], [30.0, 1.0]), step, t)[1], step[:, None], NOT_HELD
+    )
+    assert found is not None and found.lag == pytest.approx(30, rel=0.02)
+    wave = np.sin(0.5 * t - 0.15 - np.arctan(1.5))
+    assert first_guess(t, wave, np.sin(0.5 * t)[:, None], NOT_HELD) is None
 
 
 # ---- new samples ---------------------------------------------------------------------

@@ -14,8 +14,9 @@ place is refined. Output errors are minimised, so noise causes no bias.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,8 @@ LONGEST_DELAY = 0.1  # share of the record
 # gains of what is before it.
 EXPLAINED = 0.8
 BEFORE = 0.7
+MOST_UNSURE = 0.1  # standard deviation of the lag or the frequency, as a share of it
+LEAST_ERROR = 1e-4  # share of the variance that a simple system leaves, at least
 MOST_DAMPED = 0.9  # of what is told as an oscillation, which has two periods
 # Log likelihood ratio, less its price, from which a dead time is there.
 DECISIVE = 5.0
@@ -85,6 +88,15 @@ class _System:
         return np.cumsum(u + np.roll(u, 1, axis=1), axis=1) / 2 - found.real
 
 
+class _Best(NamedTuple):
+    """The best system of a kind."""
+
+    squares: float
+    system: _System
+    delay: float
+    deviation: float  # standard deviation of the logarithm of its rate, or lag
+
+
 @dataclass(frozen=True, eq=False)
 class _Record:
     """A state and the inputs at even steps."""
@@ -92,6 +104,7 @@ class _Record:
     h: float
     y: np.ndarray  # (n,)
     u: np.ndarray  # (n_inputs, n), less what they are at first
+    late: np.ndarray  # (n_inputs,) half a sample of the held ones, as lines are early
 
     @cached_property
     def t(self) -> np.ndarray:
@@ -100,18 +113,22 @@ class _Record:
     def left(self, system: _System, delay: float, n: int | None = None) -> np.ndarray:
         """What the combination leaves that is best for the first n samples, (n,)."""
         forced = system.forced(self.u, self.h)
-        later = [np.interp(self.t - delay, self.t, one) for one in forced]
+        later = self._shifted(forced, delay)
         columns = np.array(system.free(self.t) + later).T
         columns /= np.linalg.norm(columns, axis=0) + 1e-300
         gains = np.linalg.lstsq(columns[:n], self.y[:n], rcond=1e-10)[0]
         return np.asarray(self.y - columns @ gains)
+
+    def _shifted(self, forced: np.ndarray, delay: float) -> list[np.ndarray]:
+        shifts = zip(forced, delay + self.late, strict=True)
+        return [np.interp(self.t - shift, self.t, one) for one, shift in shifts]
 
     def squares(self, system: _System, delays: np.ndarray) -> np.ndarray:
         """Of what the best combination leaves at each dead time, (n_delays,)."""
         free = np.linalg.qr(np.array(system.free(self.t)).T)[0]
         y = self.y - free @ (free.T @ self.y)
         forced = system.forced(self.u, self.h)
-        rows = [[np.interp(self.t - d, self.t, one) for one in forced] for d in delays]
+        rows = list(map(partial(self._shifted, forced), delays))
         columns = np.array(rows).reshape(len(delays), len(forced), len(self.t))
         columns -= columns @ free @ free.T
         columns /= np.linalg.norm(columns, axis=2, keepdims=True) + 1e-300
@@ -126,8 +143,8 @@ class _Record:
         last = self.left(system, delay, n)[n:]
         return 1 - float(np.mean(last**2)) / float(np.var(self.y))
 
-    def best(self, kind: str, delays: np.ndarray) -> tuple[float, _System, float]:
-        """Sum of squares, system and delay: of a grid, refined from its best place."""
+    def best(self, kind: str, delays: np.ndarray) -> _Best:
+        """Of a grid, refined from its best place."""
         length = self.t[-1]
         if kind == OSCILLATION:  # from a period in the record to three samples in one
             slowest = 2 * np.pi / length
@@ -162,9 +179,15 @@ class _Record:
             delay = float(vector[n]) if len(vector) > n else 0.0
             return self.left(_System(kind, vector[:n]), delay)
 
-        vector = refined(left, start[moves], scale[moves], ends)
+        vector, slopes = refined(left, start[moves], scale[moves], ends)
         delay = float(vector[n]) if len(vector) > n else 0.0
-        return float(np.sum(left(vector) ** 2)), _System(kind, vector[:n]), delay
+        left_over = float(np.sum(left(vector) ** 2))
+        # With no less error than a simple system has.
+        variance = max(left_over / len(self.y), LEAST_ERROR * float(np.var(self.y)))
+        products = slopes @ slopes.T + 1e-12 * variance * np.eye(len(slopes))
+        spread = variance * np.linalg.inv(products)[0, 0]
+        deviation = float(scale[0] * np.sqrt(spread))
+        return _Best(left_over, _System(kind, vector[:n]), delay, deviation)
 
 
 def refined(
@@ -172,7 +195,7 @@ def refined(
     start: np.ndarray,
     scale: np.ndarray,
     ends: np.ndarray,
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """Where residuals (n,) are least near a start (k,), by damped Gauss-Newton steps.
 
     Args:
@@ -180,6 +203,9 @@ def refined(
         start: within the bounds.
         scale: (k,) by which the vector changes much.
         ends: (2, k) lower and upper bounds.
+
+    Returns:
+        The place, (k,), and the slopes of the last step there, (k, n), times the scale.
     """
     vector = np.clip(start, *ends)
     here = left(vector)
@@ -201,26 +227,32 @@ def refined(
             vector, here = trial, there
         if 0 <= gain < 1e-6 or damping > 1e3:
             break
-    return np.asarray(vector)
+    return np.asarray(vector), np.array(slopes)
 
 
-def first_guess(t: np.ndarray, y: np.ndarray, u: np.ndarray) -> FirstGuess | None:
+def first_guess(
+    t: np.ndarray, y: np.ndarray, u: np.ndarray, is_held: np.ndarray
+) -> FirstGuess | None:
     """That of a state, from samples of one run; None: no simple system explains it.
 
     Args:
         t: (n,) times.
         y: (n,) the state, measured at all of them.
         u: (n, n_inputs) inputs.
+        is_held: (n_inputs,) whether each keeps its value until the next sample.
     """
     if len(t) < 30 or not np.ptp(y):
         return None
-    record = _even(t, y, u[:, np.ptp(u, axis=0) > 0])
+    moves = np.ptp(u, axis=0) > 0
+    record = _even(t, y, u[:, moves], is_held[moves])
     n = len(record.y)
     total = n * float(np.var(record.y))
     if not total:
         return None
     delays = np.zeros(1)
     kinds = [OSCILLATION]
+    if len(record.u) and all(map(_is_wave, record.u)):
+        return None  # its size and its phase do not tell gain, lag and dead time
     if len(record.u):
         kinds = [LAG, INTEGRATING, OSCILLATION]
         steps = np.geomspace(1, max(LONGEST_DELAY * n, 1), 10)
@@ -229,31 +261,50 @@ def first_guess(t: np.ndarray, y: np.ndarray, u: np.ndarray) -> FirstGuess | Non
 
     def costs(kind: str) -> float:
         """What it leaves, by Schwarz' price of its numbers."""
-        squares, system, _ = found[kind]
-        return squares * n ** (len(system.inner) / n)
+        best = found[kind]
+        return best.squares * n ** (len(best.system.inner) / n)
 
     kind = min(kinds, key=costs)
-    squares, system, delay = found[kind]
-    if delay:
+    best = found[kind]
+    if best.delay:
         at_once = record.best(kind, delays[:1])
-        gain = n / 2 * np.log(at_once[0] / squares) - np.log(n) / 2
-        if gain < DECISIVE or delay < record.h / 2:
-            squares, system, delay = at_once
-    is_at_end = delay > 0.99 * LONGEST_DELAY * record.t[-1]
-    explained = 1 - squares / total
-    if explained < EXPLAINED or is_at_end:
+        gain = n / 2 * np.log(at_once.squares / best.squares) - np.log(n) / 2
+        if gain < DECISIVE or best.delay < record.h / 2:
+            best = at_once
+    explained = 1 - best.squares / total
+    is_late = best.delay > 0.99 * LONGEST_DELAY * record.t[-1]
+    # Beside a dead time, also where none is told: a wave tells one of the two alone.
+    if explained < EXPLAINED or is_late or found[kind].deviation > MOST_UNSURE:
         return None
-    if record.predicted(system, delay) < EXPLAINED:
+    if record.predicted(best.system, best.delay) < EXPLAINED:
         return None
+    length = record.t[-1]
+    rate = float(np.exp(best.system.inner[0]))
     if kind == OSCILLATION:
-        w, zeta = np.exp(system.inner)
-        if w * record.t[-1] < 4 * np.pi or zeta > MOST_DAMPED:
+        damping = float(np.exp(best.system.inner[1]))
+        if rate * length < 4 * np.pi or damping > MOST_DAMPED:
             return None
-        return FirstGuess(explained, delay, frequency=w / (2 * np.pi), damping=zeta)
-    return FirstGuess(explained, delay, np.exp(system.inner[0]), integrates=kind != LAG)
+        frequency = rate / (2 * np.pi)
+        return FirstGuess(explained, best.delay, frequency=frequency, damping=damping)
+    # What it would do by itself, without inputs, is no answer to them.
+    alone = replace(record, u=record.u[:0], late=record.late[:0])
+    if best.squares > (1 - EXPLAINED) * alone.best(kind, delays[:1]).squares:
+        return None
+    if rate > length / 4:
+        return None
+    lag = rate if rate > record.h / 2 else 0.0
+    return FirstGuess(explained, best.delay, lag, integrates=kind != LAG)
 
 
-def _even(t: np.ndarray, y: np.ndarray, u: np.ndarray) -> _Record:
+def _is_wave(u: np.ndarray) -> bool:
+    """Whether an input (n,) is one sine of some periods: its power is in few lines."""
+    power = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(len(u)))) ** 2
+    line = int(np.argmax(power))
+    near = power[max(line - 3, 0) : line + 4]
+    return line > 3 and bool(np.sum(near) > 0.95 * np.sum(power))
+
+
+def _even(t: np.ndarray, y: np.ndarray, u: np.ndarray, is_held: np.ndarray) -> _Record:
     """At even steps, no closer than the fastest motion asks for, of limited number."""
     h = float(np.median(np.diff(t)))
     even = t[0] + h * np.arange(min(np.ptp(t) / h + 0.5, 100 * MOST_SAMPLES))
@@ -263,4 +314,4 @@ def _even(t: np.ndarray, y: np.ndarray, u: np.ndarray) -> _Record:
     every = max(len(even) // max(SAMPLES_PER_PERIOD * fastest, 100), 1)
     n = min(len(even) // every, MOST_SAMPLES)
     means = columns[:, : n * every].reshape(len(columns), n, every).mean(axis=2)
-    return _Record(every * h, means[0], means[1:] - means[1:, :1])
+    return _Record(every * h, means[0], means[1:] - means[1:, :1], is_held * h / 2)

@@ -17,7 +17,7 @@ OF_MATRIX = re.compile(r"([\w.]+)\((?::,\s*)?(\d+)(?:,\s*:)?\)")
 TIMES = frozenset({"s", "sec", "ms", "us", "µs", "min", "h", "seconds", "d"})
 # Words that are units behind a name; pint knows c and in, too.
 UNIT_WORD = re.compile(
-    "[nuµmcdkMG]?(m|V|rad|N|Nm|Ns|Nms|Pa|bar|[Ll]|A|C|Wb|Ah|K|J)"
+    "[nuµmcdkMG]?(m|V|rad|N|Nm|Ns|Nms|Pa|bar|[Ll]|A|C|W|Wb|Ah|K|J|Hz)"
     "|deg[CF]?|°[CF]?|rev|rpm|[cdm]?m3|psi|mH2O|Vs|k?Wh"
 )
 WRITTEN_RATES = ("m/s", "rad/s", "m^3/s")  # those that are written with underscores
@@ -36,7 +36,9 @@ TIME_WORDS = words_in(
     "t time times timestamp datetime date tempo zeit temps datum uhrzeit zeitstempel"
 )
 STEP_WORDS = words_in("ts dt step")
-TEMPERATURE_WORDS = words_in("t temp temperature temperatur")
+TEMPERATURE_WORDS = words_in(
+    "t temp temperature temperatur room outside outdoor inside indoor ambient wall air"
+)
 RUN_WORDS = words_in("run trajectory trial experiment versuch record")
 SET_POINT_WORDS = words_in(
     "setpoint reference referencia referenz sollwert target desired"

@@ -28,6 +28,7 @@ REGULAR_STEPS = 0.01  # largest deviation of a step, of a clock that is regular
 BEYOND = 5.0  # times by which an outlier is beyond what its surroundings do
 MANY = 10  # equal samples that are no chance
 NOT_HELD = 'but interpolated: if it is held, give hold="zero"'
+MOST_GUESSED = 4  # states, as each takes a tenth of a second or more
 LEAST_DAMPED = 2e-4  # damping ratio that is told; the least that is tried is half
 NO_SAMPLES = np.array([], dtype=int)
 
@@ -269,6 +270,8 @@ class DataLook:
             yield "changes mostly between neighbours: noise, or sampled too slowly"
         elif not one.hold:
             yield from self._trend(one)
+        if one.hold == "cubic":  # as somebody said, or as a filter leaves it
+            return
         if one.hold and is_stepped(np.split(one.values, self.ends)):
             is_held = one.hold == "zero"
             yield f"constant between jumps, {'held' if is_held else NOT_HELD}"
@@ -298,9 +301,12 @@ class DataLook:
     def guess(self, one: ChannelLook) -> FirstGuess | None:
         """What the state responds like, in the longest run that has all of it."""
         place = self.states.index(one.name)
+        if place >= MOST_GUESSED or len(one.at_limit):
+            return None
         for run in sorted(self.trajectories, key=lambda run: -run.n_samples):
             if np.isfinite(run.x[:, place]).all():
-                return first_guess(run.t, run.x[:, place], run.u)
+                is_held = np.array(self.hold) == "zero"
+                return first_guess(run.t, run.x[:, place], run.u, is_held)
         return None
 
     def guess_words(self, one: ChannelLook) -> str:
@@ -318,7 +324,8 @@ class DataLook:
                 words += f", damping ratio {found.damping:.2g}"
         else:
             follows = "its rate follows" if found.integrates else "follows"
-            words = f"{follows} {source} with a lag of {time_words(found.lag, time)}"
+            lag = f"with a lag of {time_words(found.lag, time)}"
+            words = f"{follows} {source} {lag if found.lag else 'without a lag'}"
         if found.dead_time:
             words += f", dead time {time_words(found.dead_time, time)}"
         return f"{words}; explains {100 * found.explained:.3g} %"

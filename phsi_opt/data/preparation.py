@@ -100,10 +100,13 @@ def resampled_run(
         n_new = (len(fine) - len(kernel)) // n + 1
         if n_new < 1:
             continue
-        before = np.clip(np.searchsorted(t, fine, side="right") - 1, 0, len(t) - 1)
+        # A held value at a jump is the mean of both sides.
+        sides = np.searchsorted(t, fine + step / n * np.array([[-0.25], [0.25]])) - 1
         columns = []
         for held, one in zip(is_held, values[a:b].T, strict=True):
-            even = one[before] if held else np.interp(fine, t, one)
+            even = np.interp(fine, t, one)
+            if held:
+                even = one[np.clip(sides, 0, len(t) - 1)].mean(axis=0)
             filtered = upfirdn(kernel, even, 1, n)
             columns.append(filtered[2 * HALF_LENGTH :][:n_new])
         times.append(fine[HALF_LENGTH * n :: n][:n_new])
@@ -128,15 +131,19 @@ def detrended_run(
 ) -> Trajectory:
     """Channels without their trend, their means kept; their columns by name."""
     values = np.hstack([run.x, run.u])
+    n_states = run.x.shape[1]
+    past = run.past.copy()
     told = []
     for name, place in places.items():
         column = values[:, place]
         is_known = np.isfinite(column)
         if is_known.sum() > 1:
             slope, _ = trend_of(run.t[is_known], column[is_known])
-            values[:, place] -= slope * (run.t - run.t[is_known].mean())
+            middle = run.t[is_known].mean()
+            values[:, place] -= slope * (run.t - middle)
+            if place >= n_states:
+                past[:, 1 + place - n_states] -= slope * (past[:, 0] - middle)
             rate = spaced(rate_unit(units[name], units["t"]))
             told.append(f"{name} less a trend of {slope:.3g}{rate}")
-    n_states = run.x.shape[1]
-    changes = {"x": values[:, :n_states], "u": values[:, n_states:]}
+    changes = {"x": values[:, :n_states], "u": values[:, n_states:], "past": past}
     return with_remark(run, "; ".join(told), **changes)

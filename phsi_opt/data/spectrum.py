@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from phsi_opt.data.noticed import DataLook
+from phsi_opt.data.noticed import BEYOND, DataLook
 from phsi_opt.presentation.charts import FORCE, LOG, MODEL, Chart, Curve, Panel
 from phsi_opt.presentation.content import thinned
 from phsi_opt.presentation.numbers import label
@@ -87,7 +87,11 @@ def spectrum_chart(look: DataLook) -> Chart:
         t = look.t[known]
         line = np.polyfit(t - t[0], one.values[known], 1)
         y = one.values[known] - np.polyval(line, t - t[0])
-        found = spectrum(t, stretch[known], y)
+        own = stretch[known]
+        steps = np.diff(t)
+        is_far = (np.diff(own) == 0) & (steps > BEYOND * np.median(steps))
+        own = own + np.cumsum(np.append(False, is_far))
+        found = spectrum(t, own, y)
         kept = thinned([found.amplitudes], 4000)
         curve = Curve("", found.frequencies[kept] / size, found.amplitudes[kept], MODEL)
         curve = replace(curve, color=FORCE) if one.hold else curve

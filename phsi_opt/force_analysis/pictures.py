@@ -116,6 +116,9 @@ def _dependence_words(force: EquationForce, variable: str) -> str:
     less = ""
     if variable != TIME_NAME and force.by_parameters.shape[1]:
         less = " (shown after removing what other parameter values could explain)"
+    if percent < 10:
+        told = f"No variable clearly; {told}"
+        of = f"{of}, most of all"
     return f"{told} predicts {percent:.0f} % of the {of}{less}"
 
 

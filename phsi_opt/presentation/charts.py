@@ -10,6 +10,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
+from functools import partial
 from itertools import chain, cycle, product
 from textwrap import fill, wrap
 from typing import Any
@@ -423,6 +424,7 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
     if panel.scale == LOG:
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter("{x:g}")  # no formula of a power of ten
+        ax.yaxis.set_minor_formatter(partial(_between_decades, ax))
     elif panel.scale == FROM_ZERO:
         ax.set_ylim(bottom=0)
     elif panel.scale != FREE and ax.get_ylim()[0] < 0 < ax.get_ylim()[1]:
@@ -435,6 +437,14 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
         room: Any = {"handlelength": 3.5, "columnspacing": 1.2}
         room |= {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderaxespad": 0}
         ax.legend(frameon=False, fontsize=8, ncols=3, **room)
+
+
+def _between_decades(ax: Axes, value: float, place: int) -> str:
+    """Twice and five times a power of ten, on an axis of at most three decades."""
+    low, high = ax.get_ylim()
+    first = value / 10 ** math.floor(math.log10(value) + 1e-9)
+    is_shown = high < 1000 * low and round(first, 6) in (2, 5)
+    return f"{value:g}" if is_shown else ""
 
 
 def _draw_curve(ax: Axes, curve: Curve) -> None:

@@ -81,7 +81,8 @@ class BaseModel:
 
     def sections(self, inputs: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         """The sections [model] and [parameters], with the inputs that were measured."""
-        model: dict[str, Any] = {"states": list(self.units), "inputs": list(inputs)}
+        inputs = list(self.inputs) if self.is_named else list(inputs)
+        model: dict[str, Any] = {"states": list(self.units), "inputs": inputs}
         model |= deepcopy(dict(self.model))
         parameters = dict(self.parameters)
         for name, one in self.inputs.items():
@@ -163,7 +164,7 @@ def matched(
     found = []
     free = dict(units)
     left = list(columns)
-    for is_alike in (_is_same, _is_same_quantity, _is_perhaps_same):
+    for is_alike in (_is_itself, _is_same, _is_same_quantity, _is_perhaps_same):
         for column in list(left):
             if is_alike is _is_perhaps_same and not may_guess(column):
                 continue
@@ -176,10 +177,16 @@ def matched(
     return found
 
 
+def _is_itself(column: Column, wanted: tuple[str, str]) -> bool:
+    return column.name == wanted[0] and _is_same(column, wanted)
+
+
 def _is_same(column: Column, wanted: tuple[str, str]) -> bool:
-    called = re.sub(r"\W|_", "", column.name).lower()
+    called, name = (
+        re.sub(r"\W|_", "", one).lower() for one in (column.name, wanted[0])
+    )
     is_possible = _is_perhaps_same(column, wanted) or _is_same_quantity(column, wanted)
-    return called == wanted[0].lower() and is_possible
+    return called == name and is_possible
 
 
 def _is_same_quantity(column: Column, wanted: tuple[str, str]) -> bool:

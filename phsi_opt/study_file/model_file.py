@@ -25,6 +25,7 @@ from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.blocks import blocks
 from phsi_opt.model.model import Model
+from phsi_opt.presentation.units import scale_of
 from phsi_opt.study_file.gallery import OR_ANY, BaseModel
 from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
 from phsi_opt.study_file.model_reading import ModelReader
@@ -53,17 +54,27 @@ def base_model_in(path: Path) -> BaseModel:
     """
     if path.suffix.lower() == FIT_KIND:
         fit = Fit.load(path)
-        return _entry(path, *model_sections(fit.model), fit.units)
+        model, parameters = model_sections(fit.model)
+        for name, unit in fit.parameter_units.items():
+            known = parameters.get(name, {})
+            known = known if isinstance(known, dict) else {"value": known}
+            if name in parameters and unit and "unit" not in known:
+                parameters[name] = {**known, "unit": scale_of(unit).unit}
+        return _entry(path, model, parameters, fit.units)
     tables = tables_of(path)
-    parameters = tables.get("parameters", {})
     if "blocks" in tables:
         return _entry(path, *model_sections(_of_blocks(path, tables)), {})
-    _reader(path, {"model": tables.get("model", {}), "parameters": parameters})
+    parts = ("model", "parameters", "effects")
+    content = {name: tables[name] for name in parts if name in tables}
+    found = _reader(path, {"model": {}, **content}).model()
+    assert found is not None  # what is wrong was raised
+    data = {"data": tables.get("data", {})}
+    channels = usable(data, Complaints(data)).get("data", {})
     units = {}
-    data = tables.get("data", {})
-    for name, channel in {**data.get("states", {}), **data.get("inputs", {})}.items():
-        units[name] = str(channel.get("unit", ""))
-    return _entry(path, tables["model"], parameters, units)
+    for part in ("states", "inputs"):
+        for name, channel in channels.get(part, {}).items():
+            units[name] = channel.get("unit", "")
+    return _entry(path, *model_sections(found), units)
 
 
 def _of_blocks(path: Path, tables: Mapping[str, Any]) -> Model:
@@ -81,6 +92,7 @@ def _reader(path: Path, content: Mapping[str, Any]) -> ModelReader:
     faults = Complaints(content)
     with suppress(TooManyComplaintsError):
         reader = ModelReader.of(usable(content, faults), faults)
+        reader.effects()
         if "model" in content and reader.model() is None:
             said = 'expected [model], or [blocks] such as m = "mass: x".'
             faults.need(said, content["model"], "model")
@@ -100,8 +112,9 @@ def _entry(
     for name in parts.pop("inputs", ()):
         inputs[name] = {"unit": units.get(name, "") + OR_ANY}
     states = {}
-    for name in parts.pop("states"):
-        states[name] = units.get(name, "") + OR_ANY
+    for name in parts["states"]:
+        if name not in parts.get("memory", ()):
+            states[name] = units.get(name, "") + OR_ANY
     return BaseModel(
         name=path.stem,
         title=path.stem,

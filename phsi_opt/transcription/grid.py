@@ -368,7 +368,7 @@ def _notes_on_inputs(model: Model, data: Measurements) -> Iterator[str]:
                 f"input {name} was measured, but is no input of the model; to consider "
                 "effects that depend on it, add it to these (no formula needs it)"
             )
-        elif hold != "zero" and is_stepped([run.u[:, k] for run in data]):
+        elif hold == "linear" and is_stepped([run.u[:, k] for run in data]):
             yield (
                 f"input {name} is constant between jumps, but it is interpolated "
                 "between samples, so that it acts half a sample too early; if it keeps "

@@ -185,7 +185,8 @@ class LikelihoodValues:
             pattern.columns * n + pattern.rows, return_inverse=True
         )
         scale = self.scale[pattern.rows] * self.scale[pattern.columns]
-        added = scipy.sparse.csc_matrix((scale, (owner, np.arange(len(owner)))))
+        shape = (len(places), len(owner))
+        added = scipy.sparse.csc_matrix((scale, (owner, np.arange(len(owner)))), shape)
         columns, rows = np.divmod(places, n)
         where = ca.Sparsity.triplet(n, n, rows.tolist(), columns.tolist())
         return ca.MX(where, ca.DM(added) @ ca.vec(entries.T))

@@ -46,7 +46,7 @@ function phsiChart(host, chart) {
   }
   function decades(low, high) {
     const found = [];
-    for (let k = Math.floor(low); k <= high; k++) for (const one of high - low > 1.5 ? [1] : [1, 2, 5]) found.push(k +
+    for (let k = Math.floor(low); k <= high; k++) for (const one of high - low > 2 ? [1] : [1, 2, 5]) found.push(k +
       Math.log10(one));
     return found.filter((value) => value >= low && value <= high);
   }
