@@ -91,6 +91,64 @@ def test_the_model_of_a_study_is_taken_to_another_record(folder: Path) -> None:
     assert file.data.states["motor"].unit == "rad"
 
 
+def test_columns_find_states_by_their_very_names_first(tmp_path: Path) -> None:
+    rates = '{ Q = "-a*Q", q = "-a*q", m_1 = "-a*m_1 + F_1" }'
+    model = f"""[model]
+type = "FirstOrder"
+states = ["Q", "q", "m_1", "lag"]
+memory = ["lag"]
+inputs = ["F_1"]
+F = {rates[:-2]}, lag = "(F_1 - lag)/0.1" }}
+[parameters]
+a = {{ start = 1.0 }}
+b = {{ start = 0.1 }}
+[[effects]]
+name = "own"
+slot = "F"
+equation = "q"
+term = "-b*q**3"
+"""
+    (tmp_path / "model.toml").write_text(model)
+    table = np.random.default_rng(0).standard_normal((40, 5))
+    table[:, 0] = np.arange(40)
+    header = "t_s,q,Q,M 1,f_1"
+    np.savetxt(tmp_path / "table.csv", table, "%.6g", ",", header=header, comments="")
+    file = begun(tmp_path, "model.toml", "table.csv")
+    columns = {name: one.column for name, one in file.data.states.items()}
+    assert columns == {"Q": "Q", "q": "q", "m_1": "M 1"}
+    assert file.data.inputs["F_1"].column == "f_1"
+    assert file.base.memory == ("lag",) and file.base.free == ("a",)
+
+
+def test_an_input_without_a_column_is_said_to_lack_one(folder: Path) -> None:
+    (folder / "drive.toml").write_text(BLOCKS + KNOWN)
+    lines = DRIVE.read_text().splitlines()
+    kept = [",".join(np.array(line.split(","))[[0, 2, 3]]) for line in lines]
+    (folder / "less.csv").write_text("\n".join(kept))
+    study = folder / "study.toml"
+    first_study([folder / "less.csv"], study, True, str(folder / "drive.toml"), False)
+    told = checked(study, draws=False).text
+    assert 'data.inputs.u: the model has this name: give { column = "..." }.' in told
+
+
+def test_the_values_of_a_fit_keep_the_units_in_which_they_were_fitted(
+    tmp_path: Path,
+) -> None:
+    t = np.arange(0.0, 6000.0, 50.0)
+    x = np.c_[np.exp(-t / 2000)] + 0.001 * np.random.default_rng(1).standard_normal(
+        (120, 1)
+    )
+    units = {"t": "ms", "x": "mm"}
+    data = ph.Measurements.from_arrays(t, x, states=["x"], units=units)
+    model = ph.FirstOrder(["x"], {"x": "-a*x"})
+    ph.identify(model, data).save(tmp_path / "fit.json")
+    table = np.c_[t / 1000, x / 1000]
+    header = "t [s],x [m]"
+    np.savetxt(tmp_path / "si.csv", table, "%.6g", ",", header=header, comments="")
+    file = begun(tmp_path, "fit.json", "si.csv")
+    assert file.base.values["a"] == pytest.approx(0.5, rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "told"),
     [
@@ -101,6 +159,7 @@ def test_the_model_of_a_study_is_taken_to_another_record(folder: Path) -> None:
         ("a.toml", BLOCKS + "\n[parameters]\nX = 1.0", "'X'"),
         ("a.toml", BLOCKS + '\n[parameters]\nk = "stiff"', "parameters.k"),
         ("a.toml", '[model]\nstates = ["q"]\nH = "q**2/2 + z"', "'z' is not known"),
+        ("a.toml", "data = 5", "expected [model]"),
         ("a.json", "{}", "a.json"),
         ("none.toml", None, "there is no such file"),
     ],
