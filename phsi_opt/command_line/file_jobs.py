@@ -28,7 +28,6 @@ from phsi_opt.presentation.sentences import lines
 from phsi_opt.presentation.units import in_si
 from phsi_opt.reading import file_bytes, why_not_read
 from phsi_opt.study_file.gallery import GALLERY, base_model
-from phsi_opt.study_file.model_file import base_model_in, is_model_file
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.survey import first_text, known_values, surveys, unfilled
 from phsi_opt.study_file.toml_text import add_effects, tables_of
@@ -60,8 +59,12 @@ def first_study(
     """
     base = None
     if model is not None:
-        is_file = is_model_file(model)
-        base = base_model_in(Path(model)) if is_file else base_model(model)
+        if Path(model).suffix.lower() in (".toml", ".json"):
+            from phsi_opt.study_file.model_file import base_model_in  # slow to load
+
+            base = base_model_in(Path(model))
+        else:
+            base = base_model(model)
     if os.path.exists(study) and not force:
         raise DataError(
             f"{study} exists already; nothing was written. Give another name with "

@@ -7,11 +7,13 @@ from textwrap import wrap
 
 import numpy as np
 
-from phsi_opt.data.noticed import ChannelLook, DataLook
+from phsi_opt.data.noticed import BEYOND, ChannelLook, DataLook
+from phsi_opt.data.spectrum import spectrum
 from phsi_opt.presentation.charts import (
     ATTENTION,
     FORCE,
     FREE,
+    LOG,
     MEASURED,
     MODEL,
     POINTS,
@@ -24,7 +26,13 @@ from phsi_opt.presentation.charts import (
 )
 from phsi_opt.presentation.content import thinned
 from phsi_opt.presentation.numbers import label, number_of
-from phsi_opt.presentation.units import scale_of_time, time_words, times_words
+from phsi_opt.presentation.units import (
+    computed_unit,
+    scale_of,
+    scale_of_time,
+    time_words,
+    times_words,
+)
 
 FITTED_GROUND = ("", "")  # the ground of data that are fitted has no name and no colour
 HELD_OUT_GROUND = ("held out: not used for fitting", MEASURED)
@@ -156,3 +164,33 @@ def _marks(look: DataLook, one: ChannelLook, x: np.ndarray) -> Iterator[Curve]:
         y = one.values[one.outliers]
         name = "single sample far from both neighbours"
         yield Curve(name, x[one.outliers], y, ATTENTION, RINGS)
+
+
+def spectrum_chart(look: DataLook) -> Chart:
+    """The amplitude of every channel over frequency, states first."""
+    time = look.units["t"]
+    computed = computed_unit(time)
+    size = scale_of(computed).size if computed == "s" else 1.0
+    unit = "Hz" if computed == "s" else f"1/{time}" if time else ""
+    # A gap ends a stretch.
+    stretch = np.cumsum(np.isin(np.arange(len(look.t)), look.gaps + 1)) + look.run
+    panels = []
+    for one in look.channels:
+        known = one.known
+        if len(known) < 3 or not np.ptp(one.values[known]):
+            continue
+        t = look.t[known]
+        line = np.polyfit(t - t[0], one.values[known], 1)
+        y = one.values[known] - np.polyval(line, t - t[0])
+        own = stretch[known]
+        steps = np.diff(t)
+        is_far = (np.diff(own) == 0) & (steps > BEYOND * np.median(steps))
+        own = own + np.cumsum(np.append(False, is_far))
+        found = spectrum(t, own, y)
+        kept = thinned([found.amplitudes], 4000)
+        curve = Curve("", found.frequencies[kept] / size, found.amplitudes[kept], MODEL)
+        curve = replace(curve, color=FORCE) if one.hold else curve
+        panels.append(
+            Panel(label(one.called, one.unit), (curve,), height=0.55, scale=LOG)
+        )
+    return Chart(label("frequency", unit), tuple(panels), "spectrum")

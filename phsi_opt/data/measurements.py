@@ -565,7 +565,7 @@ class Measurements(TableReaders, Summarised):
         Examples:
             >>> frequencies = data.spectrum.panels[0].curves[0].x
         """
-        from phsi_opt.data.spectrum import spectrum_chart
+        from phsi_opt.data.data_chart import spectrum_chart
 
         return spectrum_chart(self.look)
 

@@ -1,15 +1,9 @@
 """At which frequency a signal is strong, with even or uneven samples."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
-
-from phsi_opt.data.noticed import BEYOND, DataLook
-from phsi_opt.presentation.charts import FORCE, LOG, MODEL, Chart, Curve, Panel
-from phsi_opt.presentation.content import thinned
-from phsi_opt.presentation.numbers import label
-from phsi_opt.presentation.units import computed_unit, scale_of
 
 POINTS_PER_FREQUENCY = 4  # points of a spectrum per resolved frequency
 
@@ -69,33 +63,3 @@ def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
         mean_square += share * amplitude.reshape(mean_square.shape) ** 2
     kept = frequencies * duration > 0.999  # rounding does not lose one cycle
     return Spectrum(frequencies[kept], np.sqrt(mean_square[kept]))
-
-
-def spectrum_chart(look: DataLook) -> Chart:
-    """The amplitude of every channel over frequency, states first."""
-    time = look.units["t"]
-    computed = computed_unit(time)
-    size = scale_of(computed).size if computed == "s" else 1.0
-    unit = "Hz" if computed == "s" else f"1/{time}" if time else ""
-    # A gap ends a stretch.
-    stretch = np.cumsum(np.isin(np.arange(len(look.t)), look.gaps + 1)) + look.run
-    panels = []
-    for one in look.channels:
-        known = one.known
-        if len(known) < 3 or not np.ptp(one.values[known]):
-            continue
-        t = look.t[known]
-        line = np.polyfit(t - t[0], one.values[known], 1)
-        y = one.values[known] - np.polyval(line, t - t[0])
-        own = stretch[known]
-        steps = np.diff(t)
-        is_far = (np.diff(own) == 0) & (steps > BEYOND * np.median(steps))
-        own = own + np.cumsum(np.append(False, is_far))
-        found = spectrum(t, own, y)
-        kept = thinned([found.amplitudes], 4000)
-        curve = Curve("", found.frequencies[kept] / size, found.amplitudes[kept], MODEL)
-        curve = replace(curve, color=FORCE) if one.hold else curve
-        panels.append(
-            Panel(label(one.called, one.unit), (curve,), height=0.55, scale=LOG)
-        )
-    return Chart(label("frequency", unit), tuple(panels), "spectrum")

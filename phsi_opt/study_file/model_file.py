@@ -33,12 +33,6 @@ from phsi_opt.study_file.study_text import model_sections
 from phsi_opt.study_file.toml_text import tables_of
 
 FIT_KIND = ".json"
-MODEL_KINDS = (".toml", FIT_KIND)
-
-
-def is_model_file(name: str) -> bool:
-    """Whether the name of a base model is that of a file."""
-    return Path(name).suffix.lower() in MODEL_KINDS
 
 
 def model_alone_in(path: Path) -> BaseModel | None:

@@ -129,7 +129,7 @@ def spring() -> ph.PseudoHamiltonian:
 @cache
 def measured() -> ph.Measurements:
     """Its motion."""
-    t = np.linspace(0.0, 2.0, 21)
+    t = np.linspace(0.0, 2.4, 25)
     x = np.column_stack([np.cos(t), -np.sin(t)])
     names: Arguments = {"states": ["q", "p"], "inputs": ["u"]}
     x += 0.01 * np.sin(1000 * x)
@@ -168,6 +168,7 @@ def usual() -> Arguments:
         **{"kind": {"q": "mechanical", "p": "mechanical"}, "expression": "k*q"},
         **{"FirstOrder.kind": None, "variables": ["q", "p"], "degree": 2, "n": 2},
         **{"*states": ["q", "p"], "coordinates": ["x"], "mass": "m"},
+        **{"channels": ["q"], "Measurements.resampled.step": 0.1},
         **{"forces": "-k*x - c*v + u", "name": "k", "slot": "F", "equation": "p"},
         **{"term": ph.formula("q"), "Effect.memory": {"z": ph.formula("q")}},
         **{"effect": "coulomb friction", "values": {"k": 1.0}, "bounds": {"k": 1.0}},
