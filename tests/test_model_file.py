@@ -10,17 +10,9 @@ import sympy as sp
 import phsi_opt as ph
 from phsi_opt.command_line.file_jobs import checked, first_study
 from phsi_opt.page.session import Session
+from problems.examples.docs_pictures import DRIVE as DIAGRAM
 
 DRIVE = Path(__file__).parent.parent / "docs" / "data" / "drive.csv"
-DIAGRAM = {
-    "u": "voltage: supply, ground",
-    "R": "resistor: supply, a",
-    "L": "coil: a, b",
-    "K": "motor: b, ground, motor",
-    "J1": "inertia: motor",
-    "k": "torsion spring: motor, load",
-    "J2": "inertia: load",
-}
 BLOCKS = "\n".join(
     ["[blocks]", *(f'{name} = "{one}"' for name, one in DIAGRAM.items())]
 )

@@ -58,13 +58,12 @@ def first_study(
     Without the name of a base model, or a file that has one, the model stays empty.
     """
     base = None
-    if model is not None:
-        if Path(model).suffix.lower() in (".toml", ".json"):
-            from phsi_opt.study_file.model_file import base_model_in  # slow to load
+    if model is not None and Path(model).suffix.lower() in (".toml", ".json"):
+        from phsi_opt.study_file.model_file import base_model_in  # slow to load
 
-            base = base_model_in(Path(model))
-        else:
-            base = base_model(model)
+        base = base_model_in(Path(model))
+    elif model is not None:
+        base = base_model(model)
     if os.path.exists(study) and not force:
         raise DataError(
             f"{study} exists already; nothing was written. Give another name with "

@@ -172,8 +172,6 @@ def spectrum_chart(look: DataLook) -> Chart:
     computed = computed_unit(time)
     size = scale_of(computed).size if computed == "s" else 1.0
     unit = "Hz" if computed == "s" else f"1/{time}" if time else ""
-    # A gap ends a stretch.
-    stretch = np.cumsum(np.isin(np.arange(len(look.t)), look.gaps + 1)) + look.run
     panels = []
     for one in look.channels:
         known = one.known
@@ -182,11 +180,10 @@ def spectrum_chart(look: DataLook) -> Chart:
         t = look.t[known]
         line = np.polyfit(t - t[0], one.values[known], 1)
         y = one.values[known] - np.polyval(line, t - t[0])
-        own = stretch[known]
         steps = np.diff(t)
-        is_far = (np.diff(own) == 0) & (steps > BEYOND * np.median(steps))
-        own = own + np.cumsum(np.append(False, is_far))
-        found = spectrum(t, own, y)
+        is_gap = steps > BEYOND * np.median(steps)  # which ends a stretch
+        stretch = look.run[known] + np.cumsum(np.append(False, is_gap))
+        found = spectrum(t, stretch, y)
         kept = thinned([found.amplitudes], 4000)
         curve = Curve("", found.frequencies[kept] / size, found.amplitudes[kept], MODEL)
         curve = replace(curve, color=FORCE) if one.hold else curve

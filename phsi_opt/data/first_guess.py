@@ -252,7 +252,7 @@ def first_guess(
     delays = np.zeros(1)
     kinds = [OSCILLATION]
     if len(record.u) and all(map(_is_wave, record.u)):
-        return None  # its size and its phase do not tell gain, lag and dead time
+        return None  # size and phase do not tell gain, lag and dead time
     if len(record.u):
         kinds = [LAG, INTEGRATING, OSCILLATION]
         steps = np.geomspace(1, max(LONGEST_DELAY * n, 1), 10)
@@ -273,7 +273,7 @@ def first_guess(
             best = at_once
     explained = 1 - best.squares / total
     is_late = best.delay > 0.99 * LONGEST_DELAY * record.t[-1]
-    # Beside a dead time, also where none is told: a wave tells one of the two alone.
+    # Where lag and dead time look alike, neither is known, also if none is told.
     if explained < EXPLAINED or is_late or found[kind].deviation > MOST_UNSURE:
         return None
     if record.predicted(best.system, best.delay) < EXPLAINED:
@@ -290,14 +290,18 @@ def first_guess(
     alone = replace(record, u=record.u[:0], late=record.late[:0])
     if best.squares > (1 - EXPLAINED) * alone.best(kind, delays[:1]).squares:
         return None
-    if rate > length / 4:
+    if rate > length / 4:  # its end is not seen: a ramp would do as well
         return None
     lag = rate if rate > record.h / 2 else 0.0
     return FirstGuess(explained, best.delay, lag, integrates=kind != LAG)
 
 
 def _is_wave(u: np.ndarray) -> bool:
-    """Whether an input (n,) is one sine of some periods: its power is in few lines."""
+    """Whether an input (n,) is a single sine, which excites a system too little.
+
+    Nearly all of its power is at one frequency (persistent excitation of order two:
+    Ljung, System Identification, 1999).
+    """
     power = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(len(u)))) ** 2
     line = int(np.argmax(power))
     near = power[max(line - 3, 0) : line + 4]

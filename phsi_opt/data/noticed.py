@@ -393,7 +393,7 @@ class DataLook:
 
     @cached_property
     def rows(self) -> tuple[dict[str, object], ...]:
-        """What is seen, see `_rows`."""
+        """`_rows`, worked out once."""
         return tuple(self._rows())
 
     def _rows(self) -> Iterator[dict[str, object]]:

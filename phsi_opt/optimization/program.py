@@ -68,7 +68,7 @@ class Program:
         self._dense_slopes: ca.MX | None = None
         self._curvature = np.zeros(0)
         # Of the constraints at some places that have second derivatives.
-        self._curved: list[tuple[slice, Callable[[ca.MX], ca.MX]]] = []
+        self._second_slopes: list[tuple[slice, Callable[[ca.MX], ca.MX]]] = []
 
     def setting(self, name: str, value: np.ndarray) -> ca.MX:
         """Numbers (n_values,) that may change between two solves of one program."""
@@ -132,7 +132,7 @@ class Program:
         place = slice(first, first + column.numel())
         self.constraints[name] = Block(place, label)
         if curvature is not None:
-            self._curved.append((place, curvature))
+            self._second_slopes.append((place, curvature))
         self.g = ca.vertcat(self.g, column)
         limits = np.tile([[0.0], [upper]], column.numel())
         self.g_bounds = np.hstack([self.g_bounds, limits])
@@ -234,7 +234,7 @@ class Program:
         product = ca.diagcat(ca.triu(product), ca.MX(n_others, n_others))
         hessian = factor * (product + ca.diag(ca.DM(curvature)))
         if exact:
-            for place, of_block in self._curved:
+            for place, of_block in self._second_slopes:
                 curved = of_block(multipliers[place])
                 n_further = self.z.numel() - curved.size1()
                 hessian += ca.diagcat(curved, ca.MX(n_further, n_further))

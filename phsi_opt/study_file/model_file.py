@@ -60,7 +60,7 @@ def base_model_in(path: Path) -> BaseModel:
         return _entry(path, *model_sections(_of_blocks(path, tables)), {})
     parts = ("model", "parameters", "effects")
     content = {name: tables[name] for name in parts if name in tables}
-    found = _reader(path, {"model": {}, **content}).model()
+    _, found = _read(path, {"model": {}, **content})
     assert found is not None  # what is wrong was raised
     data = {"data": tables.get("data", {})}
     channels = usable(data, Complaints(data)).get("data", {})
@@ -72,7 +72,7 @@ def base_model_in(path: Path) -> BaseModel:
 
 
 def _of_blocks(path: Path, tables: Mapping[str, Any]) -> Model:
-    reader = _reader(path, {"parameters": tables.get("parameters", {})})
+    reader, _ = _read(path, {"parameters": tables.get("parameters", {})})
     parameters: dict[str, Any] = reader.parameters
     try:
         found = blocks(tables["blocks"], tables.get("positions", []), **parameters)
@@ -81,18 +81,19 @@ def _of_blocks(path: Path, tables: Mapping[str, Any]) -> Model:
     return found.model
 
 
-def _reader(path: Path, content: Mapping[str, Any]) -> ModelReader:
-    """The reader of a model and parameters that are valid."""
+def _read(path: Path, content: Mapping[str, Any]) -> tuple[ModelReader, Model | None]:
+    """Parameters, and the model if there is a section of it; all of it is valid."""
     faults = Complaints(content)
     with suppress(TooManyComplaintsError):
         reader = ModelReader.of(usable(content, faults), faults)
-        reader.effects()
-        if "model" in content and reader.model() is None:
+        reader.effects()  # which may use parameters that the model does not
+        model = reader.model()
+        if "model" in content and model is None:
             said = 'expected [model], or [blocks] such as m = "mass: x".'
             faults.need(said, content["model"], "model")
     if faults.listed:
         raise StudyFileError(path, faults.listed)
-    return reader
+    return reader, model
 
 
 def _entry(
@@ -101,6 +102,7 @@ def _entry(
     parameters: Mapping[str, Any],
     units: Mapping[str, str],
 ) -> BaseModel:
+    """These sections, with the units of the channels that are known."""
     parts = dict(model)
     inputs = {}
     for name in parts.pop("inputs", ()):
